@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +56,8 @@ class Record(Displayable, Traced):
     units: Mapping[str, str]
     name: str
     meaning: Mapping[str, str]
+
+    quantities: ClassVar[Mapping[str, Any]] = {"samples": "1", "duration": "s", "dt": "s"}
 
     def __init__(
         self,
@@ -243,6 +245,9 @@ class Record(Displayable, Traced):
         from robustlab.files.records import keywords_of_frame
 
         return cls(**keywords_of_frame(frame, inputs, outputs, units))
+
+    def numbers(self) -> dict[str, Any]:
+        return {"samples": self.n, "duration": self.duration, "dt": self.dt}
 
     def to_json(self) -> dict[str, object]:
         """Return all samples as plain types."""

@@ -172,6 +172,13 @@ class PerformanceComparison(Displayable):
 
     controllers: Mapping[str, Performance]  # controller -> its performance
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "controllers": {
+            "*": dict.fromkeys(("order", "nominal_gain", "mu_lower", "mu_upper", "gain_lower", "gain_upper"), "1")
+            | {"frequency": "rad/s"}
+        }
+    }
+
     @property
     def margins(self) -> dict[str, Margin]:
         """Controller -> margin."""

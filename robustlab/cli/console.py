@@ -133,13 +133,12 @@ def shown(
 
 
 class Display:
-    """The display of texts and counts of a command, and of the remaining time in proportion to known steps."""
+    """The display of texts and counts of a command."""
 
     def __init__(self, command: str, mode: str, total: int | None = None) -> None:
         self.command, self.mode, self.total = command, mode, float(total or 0)
-        self._text, self._done, self._from, self._at_most, self._part = "", 0.0, 0.0, False, False
+        self._text, self._done = "", 0.0
         self._kept: list[str] = []  # lines above the bar
-        self._began = self._base = time.monotonic()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._bar, daemon=True)
 
@@ -172,15 +171,9 @@ class Display:
         if text:
             self(text)
 
-    def resumed(self, done: float) -> None:
-        """Set the number of steps finished before this run, which do not count for its speed."""
-        self._from = self._done = done
-
     def work(self, done: float, whole: float) -> None:
-        """Set the work done and its largest amount; a new amount starts a new count."""
-        if whole != self.total:
-            self._base, self._from = time.monotonic(), 0.0
-        self._done, self.total, self._at_most = done, whole, True
+        """Set the work done and its largest amount."""
+        self._done, self.total = done, whole
 
     @property
     def listener(self) -> Display | Callable[[str], None]:
@@ -188,45 +181,29 @@ class Display:
         return self if self.mode == "bar" else self.__call__
 
     def part(self, done: float, expected: float, text: str) -> None:
-        """Set the work done and expected in the current part of a search; a smaller count starts the next part."""
-        if done < self._done or expected <= 0 or not self._part:
-            self._base, self._from = time.monotonic(), done
-        self._done, self.total, self._text, self._part = done, expected, text, True
-
-    def times(self) -> str:
-        """Return the elapsed time, and the estimated remaining time where it is known."""
-        now, done = time.monotonic(), self._done - self._from
-        passed = _duration(now - self._began)
-        if done <= 0 or self.total < self._done:
-            return passed
-        remaining = _duration((now - self._base) * (self.total - self._done) / done)
-        return f"{passed}, {'at most' if self._at_most else 'about'} {remaining} to go{' in this part' * self._part}"
+        """Set the work done and expected in the current part of a search."""
+        self._done, self.total, self._text = done, expected, text
 
     def _bar(self) -> None:
         """Show the bar after a while (run in the thread)."""
+        began = time.monotonic()
         if self._over.wait(PATIENCE):
             return
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
         columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24),
-                   TextColumn("{task.fields[times]}", markup=False))  # fmt: skip
+                   TimeElapsedColumn(), TimeRemainingColumn())  # fmt: skip
         with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
-            task = bar.add_task(self.command, total=None, times="")
+            task = bar.add_task(self.command, total=None)
+            bar.tasks[0].start_time = bar.get_time() - (time.monotonic() - began)
             while True:
                 while self._kept:
                     bar.console.print(plain_text(self._kept.pop(0)), markup=False, highlight=False)
                 text = plain_text(f"{self.command}: {self._text}" if self._text else self.command)[-80:]
-                bar.update(task, description=text, completed=self._done, total=self.total or None, times=self.times())
+                bar.update(task, description=text, completed=self._done, total=self.total or None)
                 if self._over.wait(EVERY):
                     return
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    if minutes >= 60:
-        return f"{minutes // 60} h {minutes % 60} min"
-    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
 # --- exit codes: each way that a command can end gives one, and a line on stderr --------------------------------------

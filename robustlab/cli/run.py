@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import tempfile
 import time
@@ -83,13 +82,12 @@ def run(
         emit("run", {"recipes": dict(titles)}, table(titles, ("recipe", "title")), as_json)
         return
     from robustlab.recipe.load import load_recipe, recipe_path
-    from robustlab.recipe.run import default_folder, read_result, replaced, run_recipe
+    from robustlab.recipe.run import default_folder, read_result, run_recipe
     from robustlab.report.html import ending_of
 
     path = recipe_path(recipe)
     loaded = load_recipe(path, changes or [])
     folder = Path(out) if out else default_folder(loaded)
-    replacing = replaced(folder, loaded)
     count = len(loaded.recipe.step)
     begun, since = list[str](), [0.0]
     result_alone()  # the recipe may run a user's code
@@ -113,8 +111,6 @@ def run(
                     note(f"report of what was run: {folder.resolve() / 'report.html'}")
             raise
         ended()
-    if replacing:
-        note(f"note: {replacing}")
     emit("run", {**result.data, "folder": str(result.folder)}, _text(result), as_json)
     raise typer.Exit(result.exit_code)
 
@@ -437,27 +433,9 @@ def _hdf5() -> str:
     return "HDF5 is written, and read in a process of its own, with checksums"
 
 
-def _recipes() -> str:
-    from robustlab.recipe.shipped import shipped_recipes
-
-    found = shipped_recipes()
-    assert found, "no shipped recipe was found beside the package"
-    return ", ".join(found)
-
-
-def _threads() -> str:
-    from threadpoolctl import threadpool_info
-
-    import_module("numpy.linalg")  # loads BLAS
-    pools = ", ".join(f"{pool['internal_api']} {pool['num_threads']}" for pool in threadpool_info())
-    return f"{os.cpu_count()} cores; threads: {pools or 'one'}"
-
-
 _CHECKS = {
     "mu, scipy": _solvers,
     "cvxpy": _cvxpy,
     "h5py": _hdf5,
     "matplotlib": lambda: f"matplotlib {import_module('matplotlib').__version__}",
-    "recipes": _recipes,
-    "threads": _threads,
 }

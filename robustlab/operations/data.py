@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
-from robustlab.operations.declaration import Named, operation
+from robustlab.errors import NoTrustworthyNumber
+from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.operations.words import Measured, Plant, Search, UncertainPlant
+from robustlab.operations.words import Measured, Moved, Plant, Search, UncertainPlant
 
 Window = Annotated[float | None, Number(above=0), "Length of the windows in s; chosen from the model if left out."]
 Tolerances = Annotated[
@@ -17,6 +19,7 @@ Tolerances = Annotated[
     Named(option="--tolerance"),
     "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%.",
 ]
+Records = Annotated[Any, RecordFile(named=True), "Records that the set must explain."]
 Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
 
 
@@ -134,6 +137,92 @@ def validate(
 
     Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5
     """
+
+
+def _inferred_set(step: Any, ahead: Any) -> Any:
+    return replace(ahead[None], outputs=ahead[step.of].outputs, leaves=type(step).leaves)  # loads are before its inputs
+
+
+@operation("", "data-cover", result=f"{VALIDATED}data_cover.DataCover", gives="uncertain", made="model",
+           infer=_inferred_set)  # fmt: skip
+def data_cover(
+    plant: Moved,
+    records: Records,
+    *,
+    held_out: Annotated[Records, "Records on which the set is checked; they do not change it."] = (),
+    noise: Annotated[
+        dict[str, float], Table(Number(above=0), "outputs"), "Output that is compared -> largest noise, in its unit."
+    ],
+    margin: Annotated[float, Number(least=1), "Radius over the smallest that explains the records."] = 1.1,
+    least: Annotated[float, Number(least=0, below=1), "Smallest radius of any set."] = 0.02,
+    window: Annotated[
+        float | None, Number(above=0), "s; each window with a free initial state. The whole record where left out."
+    ] = None,
+    at_rest: Annotated[bool, "The records start at rest."] = False,
+    decimate: Annotated[int, Whole(1, 100), "Keep every n-th sample; inputs are averaged in between."] = 1,
+    search: Search,
+) -> Any:
+    """The set of models around a plant that explains its records: tolerances, and the smallest unmodelled dynamics.
+
+    Effects of the plant become bounded inputs ("load *") that are known along a record.
+    """
+
+    def thinned(name: str, r: Any) -> Any:
+        # An input is averaged until the next kept sample, over which it is then held.
+        n = r.n // decimate * decimate
+        inputs = {key: u[:n].reshape(-1, decimate).mean(axis=1) for key, u in r.inputs.items()}
+        outputs = {key: y[:n:decimate] for key, y in r.outputs.items()}
+        return rl.Record(r.t[:n:decimate], inputs, outputs, r.units, name, r.meaning)
+
+    sides = [[thinned(*item) for item in dict(side or {}).items()] for side in (records, held_out)]
+    options: dict[str, Any] = {"margin": margin, "least": least, "window": window, "at_rest": at_rest}
+    found = rl.data_cover(plant, sides[0], noise, held_out=sides[1], **options, **vars(search))
+    if found.model is None:
+        text = f"no unmodelled dynamics of {plant.name} explains {', '.join(records)}"
+        raise NoTrustworthyNumber("data-cover", text, "a larger noise bound, or a plant that is nearer")
+    return found
+
+
+def _inferred_loads(step: Any, ahead: Any) -> Any:
+    leaves = {**type(step).leaves, "largest": {"*": "1"}, "bound": {"*": float}}
+    return replace(ahead[None], outputs=ahead[step.record].outputs, leaves=leaves)
+
+
+@operation("", "with-loads", result="record.Record", gives="record", infer=_inferred_loads)
+def with_loads(
+    plant: Moved,
+    record: Measured,
+    sigmas: Annotated[float, Number(least=0, most=10), "As in the step that made the set."] = 2.0,
+) -> Any:
+    """A record with the bounded forces of a plant's effects as further inputs, computed by the plant.
+
+    A set that takes such forces as inputs (`uncertain-from` without amplitudes) needs them for `validate` or `cover`.
+    """
+    from robustlab.dynamics.extended.effect_blocks import effect_loads
+
+    made = effect_loads(plant, sigmas, [record])
+    found = made.along(record)
+    largest = {load.name: float(abs(found[load.name]).max()) for load in made.loads}
+    numbers = {"largest": largest, "bound": {load.name: load.bound for load in made.loads}}
+    return InLoop(found, notes=tuple(load.in_words for load in made.loads), numbers=numbers)
+
+
+def _joined(step: Any, ahead: Any) -> Any:
+    first, second = ahead[step.first], ahead[step.second]
+    if None in (first.inputs, second.inputs):
+        return ahead[None]
+    inputs, outputs = first.inputs | second.inputs, first.outputs | second.outputs
+    return replace(ahead[None], inputs=inputs, outputs=outputs)
+
+
+@operation("", "join", result="record.Record", gives="record", infer=_joined,
+           calls="identification.data_checks.resampling.join_clocks")  # fmt: skip
+def join(
+    first: Annotated[Measured, Named(key="first")],
+    second: Measured,
+    dt: Annotated[float | None, Number(above=0), "s; the coarser of the two where left out."] = None,
+) -> Any:
+    """One record from two loggers with different sample times; a shift between their clocks is not detected."""
 
 
 @operation("", "cover", result="identification.comparison.envelope.EnvelopeCoverage",

@@ -48,6 +48,7 @@ class InLoop(NamedTuple):
     notes: tuple[str, ...] = ()
     beside: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
     parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.display.Part`
+    numbers: Mapping[str, Any] = {}  # further ones, for the requirements of a recipe
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import fnmatch
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import ByNumber, Number, Thing, Weight, Whole
-from robustlab.operations.words import Controller, Design, Model, SampleTime, Search, Seed, Sign, Signals, System
+from robustlab.operations.kinds import ByNumber, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
+from robustlab.operations.words import Controller, Design, Model, Moved, SampleTime, Search, Seed, Sign, Signals, System
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
-K = Annotated[Any, Thing(("controller", "any"), model=True), "File with the controller."]
 Channel = Annotated[Any, ByNumber()]
+Controllers = Annotated[Any, Thing(("controller", "any"), named=True), "Steps that give controllers."]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
 Controls = Annotated[Channel, "Control inputs by name, or how many of the last; a tracking problem knows its own."]
 
@@ -47,16 +49,6 @@ class Channels:
         if all(named):
             return rl.generalized_plant(system, measurements, controls)
         return as_generalized_plant(system, measurements, controls, where)
-
-    def around(self, system: Any, K: Any, where: str, nominal: bool | None = False) -> Any:
-        """Return the generalised plant of a controller; without names, its channels are the plant's last ones."""
-        from robustlab.synthesis.specifications.tracking import TrackingProblem
-
-        if (self.measurements is None) != (self.controls is None):
-            raise UsageError(f"{where}: measurements, controls", "one of them", "both, or none")
-        if self.measurements is not None or isinstance(system, TrackingProblem):
-            return self.posed(system, where, nominal)
-        return Channels(K.n_inputs, K.n_outputs).posed(system, where, nominal)
 
 
 Nominal = Annotated[
@@ -162,11 +154,7 @@ def dk(
 
 
 @operation(
-    "synth fixed",
-    "fixed",
-    result="synthesis.fixed_structure.FixedSynthesis",
-    gives="controller",
-    made="controller",
+    "synth fixed", "fixed", result="synthesis.fixed_structure.FixedSynthesis", gives="controller", made="controller"
 )
 def fixed_structure(
     system: Plant,
@@ -201,16 +189,16 @@ def mixsyn(
     *,
     w1: Annotated[
         Any,
-        Weight("performance_weight"),
+        Weight(("performance_weight",)),
         'On the error: a number, or "bandwidth=10,error=0.01,peak=2".',
         Named(key="W1"),
     ] = None,
     w2: Annotated[
-        Any, Weight("control_weight"), 'On the control: a number, or "limit=20,bandwidth=1000".', Named(key="W2")
+        Any, Weight(("control_weight",)), 'On the control: a number, or "limit=20,bandwidth=1000".', Named(key="W2")
     ] = None,
     w3: Annotated[
         Any,
-        Weight("complementary_weight"),
+        Weight(("complementary_weight",)),
         'On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".',
         Named(key="W3"),
     ] = None,
@@ -266,76 +254,6 @@ def ncf(
 
 
 # --- reduction, discretisation, the closed loop -----------------------------------------------------------------------
-
-
-@operation("synth reduce", "reduce-controller", result="synthesis.reduction.controller_reduction.ReducedController",
-      gives="controller", made="controller")  # fmt: skip
-def reduce_controller(
-    plant: Plant,
-    controller: K,
-    *,
-    loss: Annotated[float, Number(least=0, most=10), "Largest loss allowed, as a share."] = 0.01,
-    order: Annotated[Order, "States of the result, whatever it loses."] = None,
-    measure: Annotated[Literal["hinf", "h2", "mu"], "mu: robust performance, with the plant's Delta."] = "hinf",
-    channels: Channels,
-    search: Search,
-    progress: Any = None,
-) -> Any:
-    """Controller of the lowest order whose closed loop, rebuilt and proved anew, loses no more than a stated share.
-
-    Exit code 4: no controller of that order could be verified.
-
-    Example: robustlab synth reduce plant.h5 controller.h5 --loss 0.02 --out small.h5
-    """
-    P = channels.around(plant, controller, "reduce-controller", False if measure == "mu" else None)
-    return rl.reduce_controller(
-        P, controller, loss=loss, order=order, measure=measure, progress=progress, **vars(search)
-    )
-
-
-Method = Annotated[
-    Literal["auto", "direct", "tustin", "tustin-prewarp", "zoh", "foh"],
-    "Formula, or a design for the sampled plant.",
-]
-
-
-@operation("synth discretise", "discretise", result="synthesis.discretisation.SampledController",
-      gives="controller", made="controller")  # fmt: skip
-def discretise(
-    plant: Annotated[
-        Plant, "The problem or generalised plant that the controller was designed for.", Named(key="plant")
-    ],
-    controller: Annotated[K, Named(key="of")],
-    *,
-    dt: SampleTime,
-    delay: Annotated[float, Number(least=0), "Computation delay in s."] = 0.0,
-    method: Method = "auto",
-    loss: Annotated[
-        float, Number(least=0, most=100), "Share of the norm from which on auto designs for the sampled plant."
-    ] = 0.1,
-    channels: Channels,
-    search: Search,
-    progress: Any = None,
-) -> Any:
-    """Digital form of a controller, with the proved norm of the sampled loop, between samples too, and its loss.
-
-    Of an uncertain plant the norm is that of the nominal loop.
-
-    Exit code 1: the loss is above --loss. Exit code 4: no method kept the sampled loop stable.
-
-    Example: robustlab synth discretise plant.h5 controller.h5 --dt 0.01 --out digital.h5
-    """
-    P = channels.around(plant, controller, "discretise")
-    return rl.discretise(
-        controller, dt=dt, method=method, plant=_nominal(P), delay=delay, loss=loss, progress=progress, **vars(search)
-    )
-
-
-def _nominal(plant: Any) -> Any:
-    from robustlab.synthesis.problem.partition import GeneralizedPlant
-
-    nominal = rl.UncertainModel(plant.model, plant.blocks).nominal
-    return GeneralizedPlant(nominal, plant.n_meas, plant.n_con) if plant.blocks else plant
 
 
 REDUCED: Any = {
@@ -402,7 +320,7 @@ def discretise_by_formula(
     """A discrete model of a continuous one, by formula.
 
     A model with exact delays at inputs and outputs takes zoh, which is exact.
-    For the loss in a closed loop see "synth discretise".
+    For the loss in a closed loop see rl.discretise.
 
     Example: robustlab model discretise motor.h5 --dt 0.001 --method zoh --out motor-1ms.h5
     """
@@ -413,6 +331,174 @@ def discretise_by_formula(
     model: Any = system if delayed else as_model(system, "model discretise")
     found = rl.discretise(model, dt, method)
     return InLoop(found, notes=tuple(f"warning: {pair}" for pair in merged_modes(model.H if delayed else model, dt)))
+
+
+# --- problems, and controllers compared -------------------------------------------------------------------------------
+
+
+@operation("", "tracking-problem", result="synthesis.specifications.tracking.TrackingProblem", gives="problem")
+def tracking_problem(
+    system: System,
+    controlled: Annotated[list[str], Names("outputs"), 'Names of outputs; "phi_*" matches all with this prefix.'],
+    measured: Annotated[list[str], Names("outputs"), "The same."],
+    *,
+    W1: Annotated[
+        Any, Weight(("performance_weight", "error_weight")), "On the error, as a share of the reference."
+    ] = None,
+    W2: Annotated[Any, Weight(("control_weight",)), "On the control, in its own unit."] = None,
+    W3: Annotated[Any, Weight(("complementary_weight",)), "On the output, as a share of the reference."] = None,
+    reference: Annotated[Any, Sizes(), "Size of the references in the outputs' units."] = 1.0,
+    reference_bandwidth: Annotated[float | None, Number(above=0), "rad/s, above which references get smaller."] = None,
+    disturbance: Annotated[Any, Sizes(), "Size of the disturbance at the controls, in their units."] = None,
+    loads: Annotated[
+        dict[str, float] | None,
+        Table(Number(above=0), "inputs"),
+        'Inputs of the model that are no controls, with their sizes: { "load *" = 1.0 }.',
+    ] = None,
+    noise: Annotated[
+        Any, Sizes(), 'Size of the noise on the measurements, in their units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
+    ] = None,
+) -> Any:
+    """A tracking problem: references that outputs follow, disturbances, noise, and weights on error and control.
+
+    The controller sees the references of `controlled` and the outputs `measured`. The gain of the weighted loop is at
+    most 1 where every requirement holds.
+    """
+    from robustlab.statespace import as_model
+    from robustlab.synthesis.specifications.tracking import tracking_problem as pose
+
+    G = system.uncertain() if hasattr(system, "uncertain") and hasattr(system, "with_parameters") else system
+    base = G if hasattr(G, "blocks") else as_model(G, "tracking problem")
+    inputs, outputs = ([s.name for s in side] for side in (base.inputs, base.outputs))
+    controlled, measured = _matching(controlled, outputs), _matching(measured, outputs)
+    forces = {name: size for name, size in (_sizes_of(loads, inputs) or {}).items() if "*" not in name}
+    controls = [name for name in inputs if name not in forces]
+    return pose(
+        G, controlled, measured, W1=W1, W2=W2, W3=W3, reference=_sizes_of(reference, controlled),
+        reference_bandwidth=reference_bandwidth, disturbance=_sizes_of(disturbance, controls), loads=forces,
+        noise=_sizes_of(noise, [*(f"{name}_ref" for name in controlled), *measured]),
+    )  # fmt: skip
+
+
+def _matching(names: Sequence[str], known: Sequence[str]) -> list[str]:
+    """Replace each pattern by the names it matches; a pattern without a match is kept, and rejected later."""
+    return [k for name in names for k in ("*" in name and fnmatch.filter(known, name)) or [name]]
+
+
+def _sizes_of(given: Any, known: Sequence[str]) -> Any:
+    """Replace each pattern by the names it matches; the first pattern that matches a signal counts."""
+    if not isinstance(given, dict):
+        return given
+    sizes: dict[str, float] = {}
+    for pattern, size in given.items():
+        for name in _matching([pattern], known):
+            sizes.setdefault(name, size)
+    return sizes
+
+
+@operation("", "cascade", result="statespace.StateSpaceModel", gives="controller")
+def cascade(
+    plant: Annotated[Any, Thing(("plant",)), "A linear actuator, or a Stewart platform with motors."],
+    p_up: Annotated[float, Number(above=0), "Triple pole of the upper layer in 1/s."] = 236.0,
+    p_low: Annotated[float, Number(above=0), "Triple pole of the lower layer in 1/s."] = 3000.0,
+) -> Any:
+    """The two layers of L. Březina's thesis (eqs 9.1-9.4) for the linear actuator or the Stewart platform with motors.
+
+    Of the platform it is the upper layer, whose outputs are torques; the torque loops remain in the plant.
+    """
+    from robustlab.dynamics.control.controlled_plant import actuator_cascade
+    from robustlab.dynamics.control.platform import two_layer
+    from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
+
+    platform = isinstance(plant, StewartPlatform)
+    return two_layer(plant, p_up, p_low).upper if platform else actuator_cascade(plant, p_up, p_low)
+
+
+@operation("", "feed-forward", result="dynamics.extended.feed_forward.FeedForward", gives="feed-forward",
+           calls="dynamics.extended.feed_forward.feed_forward")  # fmt: skip
+def feed_forward(plant: Moved) -> Any:
+    """The input that a motion needs because of named effects, from its reference."""
+
+
+@operation("", "robust-performance", result="analysis.performance.PerformanceComparison")
+def compare_performance(
+    system: Annotated[Any, Thing(("problem", "uncertain", "any")), "Tracking problem, or an uncertain model."],
+    controllers: Controllers,
+    *,
+    accuracy: Annotated[float, Number(above=0, below=1), "Relative distance to the best proof."] = 1e-3,
+    search: Search,
+    gain: Annotated[bool, "The worst-case gain, too."] = True,
+    points: Annotated[int, Whole(2, 10_000), "Frequencies of the curves in the figure."] = 120,
+    seed: Seed = 0,
+) -> Any:
+    """Robust performance of one problem under several controllers: certified mu, worst-case gain, order."""
+    from robustlab.analysis.performance import compare_performance as compared
+    from robustlab.statespace import as_model
+
+    if not hasattr(system, "close"):
+        raise InputError("robust-performance", f"a {type(system).__name__}", "a tracking problem or an uncertain model")
+    models = {name: as_model(K, name) for name, K in controllers.items()}
+    loops = {name: (system.close(K), K.n_states) for name, K in models.items()}
+    found = compared(loops, gain=gain, points=points, accuracy=accuracy, seed=seed, **vars(search))
+    return InLoop(found, beside=found.margins)
+
+
+RUNS = "dynamics.control.platform."
+
+
+@operation("", "simulate-control", result=RUNS + "ControlledRuns", calls=RUNS + "follow_sine")
+def follow_sine(
+    plant: Annotated[Any, Thing(("plant",)), "A linear plant."],
+    controllers: Controllers,
+    controlled: Annotated[list[str], Names("outputs"), "Outputs that follow the reference."],
+    measured: Annotated[list[str], Names("outputs"), "Outputs that the controllers see."],
+    *,
+    amplitude: Annotated[float, Number(above=0), "Of the reference, in the controlled output's unit."],
+    omega: Annotated[float, Number(above=0), "Of the reference in rad/s."],
+    rise_time: Annotated[float, Number(above=0), "s, in which the sine grows to its amplitude."],
+    t_end: Annotated[float, Number(above=0), "End time in s."],
+    after: Annotated[float, Number(least=0), "s from which on the error counts."] = 0.0,
+    points: Annotated[int, Whole(2, 100_000), "Stored samples."] = 2001,
+    step: Annotated[float, Number(above=0), "s between samples of the reference; it is held between them."] = 1e-4,
+    effects: Annotated[
+        Any,
+        Keyed(dict[str, dict[str, float]]),
+        'As "coulomb-friction@omega" = { Fc = 3e-3 }, "input-dead-zone@u" = { d = 0.6 }.',
+    ] = None,
+    members: Annotated[
+        Any, Keyed(list[dict[str, float]]), "Parameters of further members of the set to simulate."
+    ] = (),
+    scale: Annotated[float, Number(above=0), "Factor from the controlled output to `unit`."] = 1.0,
+    unit: Annotated[str, "Unit of the errors; the controlled output's if left out."] = "",
+    limits: Annotated[
+        dict[str, float] | None,
+        Table(Number(above=0), "signals"),
+        "Largest magnitude of a signal; compared, not clipped.",
+    ] = None,
+) -> Any:
+    """A linear plant with effects under several controllers: tracking of a sine, also by members of the set."""
+
+
+@operation("", "follow-trajectory", result=RUNS + "ControlledRuns", calls=RUNS + "follow_path")
+def follow_path(
+    plant: Moved,
+    controllers: Controllers,
+    *,
+    p_low: Annotated[float, Number(above=0), "Triple pole of the motors' torque loops in 1/s."] = 3000.0,
+    at: Annotated[
+        Any, Numbers("", 6), "Pose at which the path begins; home, the trim point of the controllers, where left out."
+    ] = None,
+    scale: Annotated[float, Number(above=0), "Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad."] = 1.0,
+    rise_time: Annotated[float, Number(least=0), "s, in which the sines grow."] = 0.0,
+    t_end: Annotated[float, Number(above=0), "End time in s."] = 5.0,
+    after: Annotated[float, Number(least=0), "s from which on the errors count."] = 3.0,
+    points: Annotated[int, Whole(2, 100_000), "Stored samples."] = 2501,
+) -> Any:
+    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
+
+    With motors the controllers are upper layers with torques as outputs, above the motors' torque loops. Without, the
+    machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles alone.
+    """
 
 
 @operation("", "close-loop", result="synthesis.specifications.tracking.ClosedLoop", gives="uncertain",

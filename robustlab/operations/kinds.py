@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-from robustlab.errors import InputError, UsageError, did_you_mean
+from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean
 from robustlab.units import amount, share
 
 UPDATED_PLANT = "updated-plant.h5"  # in the folder of ``data discover --out``
@@ -126,13 +126,6 @@ class Ends(Number):
 
     def of_field(self, given: Any) -> Any:
         return tuple(given) if isinstance(given, list) else given
-
-
-class NumberInUnit(Kind):
-    """A number; a command passes it as a text with its unit, which the function reads."""
-
-    def field(self) -> Any:
-        return float
 
 
 @dataclass(frozen=True)
@@ -310,9 +303,9 @@ class Table(Kind):
 
 @dataclass(frozen=True)
 class Weight(Kind):
-    """A weight: a number, or arguments of the function ``maker`` of robustlab, ``bandwidth=10,error=0.01``."""
+    """A weight: a number, or arguments of one of robustlab's functions of weights, ``bandwidth=10,error=0.01``."""
 
-    maker: str
+    makers: tuple[str, ...]
     metavar = "WEIGHT"
 
     def read(self, option: str, given: Any) -> Any:
@@ -324,34 +317,63 @@ class Weight(Kind):
                 return float(given)
             except ValueError:
                 raise UsageError(option, f"{given.strip()!r}", "a number") from None
+        parts = Table().read(option, given.split(","), {"bandwidth": "rad/s"})
+        return self.made(option, {key.strip().replace("-", "_"): value for key, value in parts.items()})
+
+    def made(self, where: str, given: Mapping[str, Any]) -> Any:
+        """Return the weight of the first function that has all the words; of the first one where none has."""
         from inspect import signature
 
-        import robustlab as rl
+        from robustlab.synthesis.specifications import weight_design
 
-        known = list(signature(getattr(rl, self.maker)).parameters)
-        parts = Table().read(option, given.split(","), {"bandwidth": "rad/s"})
-        found: dict[str, Any] = {key.strip().replace("-", "_"): value for key, value in parts.items()}
-        for key in found:
+        makers = [getattr(weight_design, name) for name in self.makers]
+        maker = next((m for m in makers if given.keys() <= signature(m).parameters.keys()), makers[0])
+        known = list(signature(maker).parameters)
+        for key in given:
             if key not in known:
                 expected = f"one of {', '.join(known)}"
-                raise UsageError(option, f"unknown word {key!r}", expected, did_you_mean(key, known))
-        if "order" in found and found["order"].is_integer():
-            found["order"] = int(found["order"])
-        if known[0] not in found:
-            raise UsageError(option, f"{known[0]} is missing", f"at least {known[0]}=NUMBER")
-        return getattr(rl, self.maker)(**found)
+                raise UsageError(where, f"unknown word {key!r}", expected, did_you_mean(key, known))
+        if known[0] not in given:
+            raise UsageError(where, f"{known[0]} is missing", f"at least {known[0]}=NUMBER")
+        order = {"order": int(given["order"])} if float(given.get("order", 0.5)).is_integer() else {}
+        return maker(**{**given, **order})
 
     def field(self) -> Any:
-        from robustlab.operations import vocabulary
+        from pydantic import AfterValidator
+        from pydantic_core import PydanticCustomError
 
-        return vocabulary.Positive | getattr(vocabulary, "".join(p.capitalize() for p in self.maker.split("_")))
+        from robustlab.operations.vocabulary import Positive
+
+        def check(given: dict[str, float]) -> dict[str, float]:
+            try:
+                self.made("weight", given)
+            except RobustlabError as error:
+                raise PydanticCustomError("weight", "{fault}", {"fault": str(error)}) from None
+            return given
+
+        return Positive | Annotated[dict[str, float], AfterValidator(check)]
 
     def of_field(self, given: Any) -> Any:
-        import robustlab as rl
+        return self.made("weight", given) if isinstance(given, dict) else given
 
-        if given is None or isinstance(given, float):
-            return given
-        return getattr(rl, self.maker)(**given.model_dump())
+
+@dataclass(frozen=True)
+class Keyed(Kind):
+    """A value of its own type in a recipe; the text of a command as it is."""
+
+    type: Any
+
+    def field(self) -> Any:
+        return self.type
+
+
+class Sizes(Kind):
+    """A positive number for all signals, or one for each by its name; of a recipe alone."""
+
+    def field(self) -> Any:
+        from robustlab.operations.vocabulary import Positive
+
+        return Positive | dict[str, Positive]
 
 
 class Pair(NamedTuple):
@@ -368,6 +390,7 @@ class Thing(Kind):
     gives: tuple[str, ...] = ("any",)
     model: bool = False
     many: bool = False
+    named: bool = False  # in a recipe several by the names of their steps
     number: bool = False
     settings: bool = False
     positional: bool = False
@@ -388,7 +411,7 @@ class Thing(Kind):
         from robustlab.operations.vocabulary import RefersTo
 
         name = Annotated[str, RefersTo(self.gives)]
-        taken: Any = list[name] if self.many else name
+        taken: Any = list[name] if self.many or self.named else name
         return float | taken if self.number else taken
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:

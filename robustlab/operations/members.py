@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
-from robustlab.errors import InputError, UnitMismatch, UsageError
+from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Names, Number, NumberInUnit, Table, TextFile, Whole
+from robustlab.operations.kinds import Choice, Keyed, Names, Number, Table, TextFile, Whole
 from robustlab.operations.words import Search, Seed, Uncertain
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
 )  # fmt: skip
-OF_A_RESPONSE = METRICS[:5]
-
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
 Output = Annotated[
     str | None,
@@ -88,30 +86,7 @@ class Excitation:
         return {"t": t, "u": u, "hold": "foh"}
 
 
-def unit_of_metric(step: Any, ahead: Any) -> Any:
-    """Return the unit of a metric's values; ``float`` where it is not known before the run."""
-    _check_sine(step.sine, step.frequency)
-    if step.metric in ("overshoot", "settling-time"):
-        return "%" if step.metric == "overshoot" else "s"
-    outputs = ahead[step.of].outputs
-    if step.metric not in OF_A_RESPONSE or not outputs or (step.output is None and len(outputs) > 1):
-        return float
-    return outputs.get(step.output or next(iter(outputs)), float)
-
-
-def _inferred_worst(step: Any, ahead: Any) -> Any:
-    unit = unit_of_metric(step, ahead)
-    return replace(ahead[None], leaves={**type(step).leaves, "value": unit, "nominal_value": unit})
-
-
-def _inferred_violation(step: Any, ahead: Any) -> Any:
-    unit = unit_of_metric(step, ahead)
-    if step.unit is not None and unit is not float and step.unit != unit:
-        raise UnitMismatch("unit", step.unit, f"{unit or 'none'}: that of the metric")
-    return replace(ahead[None], leaves={**type(step).leaves, "worst_value": unit})
-
-
-@operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase", infer=_inferred_worst)
+@operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase")
 def worst_case(
     uncertain: Uncertain,
     *,
@@ -133,12 +108,11 @@ def worst_case(
     "violation-probability",
     "violation-probability",
     result="worst_case_analysis.statistics.ViolationProbability",
-    infer=_inferred_violation,
 )
 def violation_probability(
     uncertain: Uncertain,
     *,
-    limit: Annotated[Any, NumberInUnit(), "Limit whose violations are counted, such as '0.5 rad'."],
+    limit: Annotated[Any, Keyed(float), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
     unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
     probability: Annotated[
@@ -234,12 +208,12 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
     """Yield a counter of stored samples, those of earlier runs first; report how to resume after Ctrl-C."""
     from robustlab.campaign import saved_samples
 
-    saved: list[int] = []
-    progress.total = n
+    saved, progress.total = 0, n
 
     def advance(stored: int) -> None:
-        saved.append(stored)
-        (progress.step if len(saved) > 1 else progress.resumed)(sum(saved))
+        nonlocal saved
+        saved += stored
+        progress.step(saved)
 
     try:
         yield advance

@@ -12,6 +12,7 @@ from robustlab.operations.declaration import InLoop, Named, operation
 from robustlab.operations.kinds import (
     Choice,
     Ends,
+    Keyed,
     Names,
     Number,
     Numbers,
@@ -298,35 +299,75 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
 
 
-@operation("uncertain cover", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model")
+def _inferred_cover(step: Any, ahead: Any) -> Any:
+    source = ahead[step.of or next(iter(step.models or ()), None)]
+    return replace(
+        source.select(None), inputs=None, leaves={**type(step).leaves, "loads": {"*": float}}
+    )  # loads come before its inputs
+
+
+@operation("uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain",
+           made="model", infer=_inferred_cover)  # fmt: skip
 def cover(
-    models: Annotated[list[Any], Thing(ANY, model=True, many=True), "Files of the models to cover; at least two."],
+    models: Annotated[
+        Any, Thing(ANY, model=True, many=True, positional=True), "Models to cover; at least two.", Named(key="models")
+    ] = None,
+    plant: Annotated[
+        Any, Thing(("plant", "any")), "A mechanism, linearised at each of `poses`.", Named(key="of", only="step")
+    ] = None,
+    poses: Annotated[
+        Any, Keyed(list[list[float]]), "Operating points: tx, ty, tz in m, ax, ay, az in rad.", Named(only="step")
+    ] = (),
     *,
     form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
+    tolerance: Annotated[
+        float, Number(least=0, below=1), "Allowed error of an entry: pca needs fewer directions.", Named(only="step")
+    ] = 1e-9,
     controller: Annotated[
-        Controller,
-        "File of a controller, with its sign: the cover's worst gain is that of its loop.",
+        Controller | None,
+        "A controller, with its sign: the cover's worst gain is that of its loop.",
         Named(option="--controller,-k"),
     ] = None,
-    feedback: Sign = None,
+    sign: Annotated[Sign, Named(option="--feedback")] = None,
+    gain: Annotated[
+        bool, "Compare the worst gain of the cover with that of the set.", Named(only="step", key="conservatism")
+    ] = True,
     search: Search,
     progress: Any = None,
 ) -> Any:
     """The smallest uncertain model of a form that contains a set of models, with its conservatism.
 
+    In a recipe the set may be one plant linearised at several poses. Of a plant with effects, as after `discover`,
+    those that have no linear model (dry friction) become bounded inputs ("load *"), exact for every motion: a tracking
+    problem takes them as loads.
+
     Example: robustlab uncertain cover unit1.h5 unit2.h5 unit3.h5 --form pca --out set.h5
     """
-    loop: Any = None
-    words = ""
-    if feedback is not None and controller is None:
+    if sign is not None and controller is None:
         raise UsageError("--feedback", "without --controller", "a controller to close the loop with")
+    if (plant is None) != (not poses):
+        raise InputError("cover", "one of them", "of and poses belong together")
+    at_poses = [_at_pose(plant, pose) for pose in poses]
+    models = [*(models or ()), *(model for model, _ in at_poses)]
+    loop, words = None, ""
     if controller is not None:
         from robustlab.feedback import feedback_loop
 
-        around, sign, words = feedback_loop(models[0], controller, feedback, "cover", None)
-        loop = lambda g: g.feedback(around, sign)  # noqa: E731
-    found = rl.cover(models, form, loop=loop, progress=progress, **vars(search))
-    return InLoop(found, words)
+        around, closed, words = feedback_loop(models[0], controller, sign, "cover", None)
+        loop = lambda g: g.feedback(around, closed)  # noqa: E731
+    found = rl.cover(models, form, tolerance=tolerance, loop=loop, gain=gain, progress=progress, **vars(search))
+    loads = at_poses[0][1] if at_poses else ()
+    numbers = {"loads": {load.name: load.bound for load in loads}}
+    return InLoop(found, words, tuple(load.in_words for load in loads), numbers=numbers)
+
+
+def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
+    """Linearise a plant at a pose; return the model with the effects' loads before its inputs, and the loads."""
+    from robustlab.dynamics.extended.effect_blocks import loaded_model
+    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
+
+    at = rl.trim(plant, pose=pose)
+    return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
 def _inferred_blocks(step: Any, ahead: Any) -> Any:

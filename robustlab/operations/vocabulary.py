@@ -43,15 +43,9 @@ class Names:
 
 
 # "any": the object of a loaded file is known only at run time.
-ToPlant = Annotated[str, RefersTo(("plant",))]
 ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-ToOneModel = Annotated[str, RefersTo(("plant", "model", "any"))]
 ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
-ToController = Annotated[str, RefersTo(("controller", "any"))]
-ToRecord = Annotated[str, RefersTo(("record", "any"))]
 ToSaved = Annotated[str, RefersTo(("saved",))]
-ToPlantOrFile = Annotated[str, RefersTo(("plant", "any"))]
-ToUncertainOrProblem = Annotated[str, RefersTo(("problem", "uncertain", "any"))]
 ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
 
 StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
@@ -60,15 +54,6 @@ Text = Annotated[str, Field(max_length=2000)]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
 Points = Annotated[int, Field(ge=2, le=100_000)]
-TimeLimit = Annotated[float, Field(gt=0, le=86400)]
-Effort = Annotated[float, Field(gt=0, le=10_000)]
-Feedback = Annotated[
-    Literal[-1, 1] | None,
-    Field(description="-1 for negative feedback, 1 for positive; as the controller says of itself where left out."),
-]
-GUARD = "Time limit in s. If it is reached, the result depends on the machine."
-Tolerance = Annotated[float, Field(gt=0, lt=1)]
-Order = Annotated[int, Field(ge=1, le=10)]
 
 
 def _number_or_pair(value: Any, handler: Any) -> Any:
@@ -111,40 +96,6 @@ def _share_schema(less_than_one: bool) -> WithJsonSchema:
 # Tolerances of parameters, 0.05 or "5%"; that of a prior may be larger than the value itself.
 RelativeTolerance = Annotated[float, Field(gt=0, lt=1), WrapValidator(_share), _share_schema(True)]
 PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_schema(False)]
-
-
-class PerformanceWeight(Strict):
-    """A bound on the sensitivity S: ``error`` at low frequency and ``peak`` everywhere."""
-
-    bandwidth: Positive = Field(description="rad/s, where the bound on S crosses one.")
-    error: Tolerance = Field(1e-3, description="Largest control error in steady state, as a share of the reference.")
-    peak: Annotated[float, Field(gt=1)] = 2.0
-    order: Order = 1
-
-
-class ErrorWeight(Strict):
-    """A bound on the error of shaped references: ``error``, falling with the frequency below ``corner``."""
-
-    error: Tolerance = Field(description="Largest error above the corner, as a share of the reference.")
-    corner: Positive = Field(description="rad/s")
-    steady: Tolerance = Field(1e-3, description="Largest error in steady state, as a share of the reference.")
-
-
-class ControlWeight(Strict):
-    """A bound on the gain from reference to control signal: ``limit``, falling above ``bandwidth``."""
-
-    limit: Positive = Field(description="Control units per output unit.")
-    bandwidth: Positive | None = Field(None, description="rad/s; a constant bound where left out.")
-    roll_off: Annotated[float, Field(gt=1)] = 100.0
-
-
-class ComplementaryWeight(Strict):
-    """A bound on the complementary sensitivity T: ``peak``, falling above ``bandwidth``."""
-
-    bandwidth: Positive = Field(description="rad/s, where the bound on T crosses one.")
-    peak: Annotated[float, Field(gt=1)] = 2.0
-    roll_off: Tolerance = 1e-3
-    order: Order = 1
 
 
 class ReferenceLine(Strict):

@@ -14,6 +14,7 @@ Uncertain = Annotated[Any, Thing(("uncertain", "any")), "HDF5 file with an uncer
 Design = Annotated[Any, Thing(("problem", "plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
 Plant = Annotated[Any, Machine(), "Model file, name of a plant, or file.py:name."]
 UncertainPlant = Annotated[Any, Machine(("uncertain", "any")), "Uncertain model: a file, or a plant with tolerances."]
+Moved = Annotated[Any, Thing(("plant", "any")), "A discover step, or a plant with effects."]
 Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."]
 Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
 Sign = Annotated[

@@ -225,25 +225,18 @@ def _override(data: dict[str, Any], key: str, text: str) -> None:
     if parts[0] == "step" and (len(parts) < 3 or parts[1] not in steps):
         hint = did_you_mean(parts[1], list(steps)) if len(parts) > 1 else None
         raise UsageError(where, "names no key of a step", f"step.NAME.KEY with a step of {', '.join(steps)}", hint)
-    target: Any = data
-    for part in parts[:-1]:
-        if isinstance(target, list) and part.isdigit() and int(part) < len(target):
-            target = target[int(part)]
-        elif isinstance(target, dict):
-            target = target.setdefault(part, {})
-        else:
-            raise UsageError(where, f"{part!r} is not a table", "a key that holds a value")
     try:
         value = tomllib.loads(f"x = {text}")["x"] if "\n" not in text else text
     except (ValueError, RecursionError):
         value = text
-    last = parts[-1]
-    if isinstance(target, list) and last.isdigit() and int(last) < len(target):
-        target[int(last)] = value
-    elif isinstance(target, dict):
-        target[last] = value
-    else:
-        raise UsageError(where, f"{last!r} is inside a value", "a key that holds a value")
+    target: Any = data
+    *outer, last = parts
+    try:
+        for part in outer:
+            target = target[int(part)] if isinstance(target, list) else target.setdefault(part, {})
+        target[int(last) if isinstance(target, list) else last] = value
+    except (AttributeError, IndexError, TypeError, ValueError):
+        raise UsageError(where, f"{last!r} is inside a value", "a key that holds a value") from None
 
 
 def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:

@@ -193,7 +193,7 @@ def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str
                 raise at_step(error, loaded, name) from error
             raise
         else:
-            work.values[name], work.numbers[name] = outcome.value, outcome.numbers
+            work.values[name] = outcome.value
             status = str(outcome.status) if outcome.status else DONE
             figures = [{"stem": stem, "caption": caption} for stem, caption in work.figures.get(name, [])]
             entry = _entry(
@@ -245,7 +245,7 @@ def _result(
         "recipe": {
             **{name: getattr(recipe, name) for name in ("name", "title", "description")},
             "file": loaded.path.name,
-            "sha256": _digest(loaded),
+            "sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
             "overrides": loaded.overrides,
             "text": loaded.text,
         },
@@ -254,10 +254,6 @@ def _result(
         "provenance": Provenance.now("robustlab run", work.inputs, recipe.seed).to_json(),
         "files": sorted({*work.files, *REPORT_FILES}),
     }
-
-
-def _digest(loaded: LoadedRecipe) -> str:
-    return hashlib.sha256(loaded.text.encode()).hexdigest()
 
 
 def _with_free_run(judged: Judgement, recipe: Recipe, numbers: Mapping[str, Any]) -> Judgement:
@@ -321,18 +317,6 @@ def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
     slug = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", f"{key}-{value}").strip("-.") for key, value in changes)
     mark = hashlib.sha256(repr(changes).encode()).hexdigest()[:8]
     return Path(root) / f"{name}-{slug if 0 < len(slug) <= LONGEST_SLUG else mark}"
-
-
-def replaced(folder: Path, loaded: LoadedRecipe) -> str:
-    """Describe the different run that a run into ``folder`` replaces; empty where there is none."""
-    try:
-        earlier = read_result(folder)["recipe"]
-    except InputError:
-        return ""
-    if earlier["sha256"] == _digest(loaded) and earlier["overrides"] == loaded.overrides:
-        return ""
-    settings = ", ".join(f"{key}={value}" for key, value in earlier["overrides"].items()) or "no changed settings"
-    return f"{folder} held the report of another recipe {earlier['name']} with {settings}; this run replaced it"
 
 
 def verified(outcome: Outcome, files: Sequence[Path], required: bool) -> Outcome:

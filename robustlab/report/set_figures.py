@@ -41,7 +41,7 @@ EXPLAINED: dict[str, Any] = {"color": style.WORST, "lw": 1.1, "label": "with the
 def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """The weight of an unstructured form (over the errors of ``models``), the cloud of a parametric one."""
     if cover.fit is not None:
-        return weight_figure(cover, models)
+        return weight_figure(cover, models or cover.models)
     if not cover.model.blocks:
         raise InputError("Cover.plot", "a cover without blocks", "one with something uncertain in it")
     return cloud_figure(cover)

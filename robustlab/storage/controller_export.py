@@ -89,7 +89,7 @@ def back_calculation(model: StateSpaceModel, limits: Sequence[tuple[float, float
     radius = float(np.abs(np.linalg.eigvals(model.A - gain @ model.C)).max(initial=0.0))
     if radius > slowest * (1 + 1e-6):
         found = f"a mode of modulus {radius:.6g} that does not show in the control signals"
-        hint = "take it out first (robustlab synth reduce), or allow a longer time"
+        hint = "take it out first (rl.reduce_controller), or allow a longer time"
         raise InputError("anti-windup", found, f"modes slower than {time:g} s that do", hint)
     return gain
 

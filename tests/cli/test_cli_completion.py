@@ -127,7 +127,6 @@ def test_choices_are_those_of_the_library():
     for words, option, function, argument in [
         (("model", "margins"), "--at", rl.disk_margin, "at"),
         (("model", "reduce"), "--method", rl.reduce_model, "method"),
-        (("synth", "reduce"), "--measure", rl.reduce_controller, "measure"),
         (("uncertain", "discovery"), "--dry", rl.uncertain_from, "dry"),
         (("data", "validate"), "--domain", rl.validate, "domain"),
         (("campaign", "run"), "--kind", CampaignSettings, "kind"),

@@ -92,7 +92,8 @@ def test_margins_report_the_loop(run):
 
 def test_digital_reduced_and_exported_controllers_keep_it(run, folder):
     rl.save("digital.h5", rl.Controller(rl.discretise(rl.load("weak.h5").K, 0.01)))
-    run("synth", "reduce", "nominal.h5", "weak.h5", "--loss", "0.5", "--out", "small.h5")
+    small = rl.reduce_controller(rl.load("nominal.h5"), rl.load("weak.h5"), loss=0.5, measure="hinf", n_meas=1, n_con=1)
+    rl.save("small.h5", small.controller)
     run("model", "convert", "digital.h5", "digital.c")
     assert "LOOP: u = K (r - y)" in (folder / "digital.c").read_text()
     text = run("mu", "osc.h5", "-k", "small.h5")

@@ -114,27 +114,6 @@ def test_the_other_ways_to_reduce(options):
     assert rl.load("small.h5").n_states == 2
 
 
-def test_a_reduced_controller():
-    found = robustlab("synth", "reduce", "p.h5", "k.h5", "--loss", "0.01", "--out", "s.h5", "--json", code=0).json
-    assert (found["original_order"], found["loss"] <= 0.01) == (2, True)
-    stored = rl.load("s.h5")
-    assert (stored.K.n_states, stored.gamma) == (found["order"], pytest.approx(found["gamma"]))
-    robustlab("synth", "reduce", "p.h5", "k.h5", "--measurements", "y", "--controls", "u", "--order", "1", code=0)
-
-
-def test_a_digital_controller_and_its_loss_as_exit_code():
-    words = ("synth", "discretise", "p.h5", "k.h5", "--dt")
-    found = robustlab(*words, "0.05", "--out", "d.h5", "--json", code=0).json
-    assert (found["dt"], found["status"], rl.load("d.h5").K.dt) == (0.05, "certified", 0.05)
-    robustlab(*words, "2", "--method", "tustin", "--loss", "0.0001", code=1)
-
-
-def test_an_unstable_loop_of_a_bare_plant_is_exit_code_4():
-    rl.save("g.h5", rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]]))
-    rl.save("c.h5", rl.StateSpaceModel([[-10.0]], [[1.0]], [[5.0]], [[0.0]]))
-    assert "is unstable" in robustlab("synth", "reduce", "g.h5", "c.h5", code=4).err
-
-
 def test_a_minimal_model():
     rl.save("hidden.h5", rl.StateSpaceModel([[0, 0], [0, -1]], [[0], [1]], [[1, 1]], [[0]]))
     found = robustlab("model", "minimal", "hidden.h5", "--out", "m.h5", "--json", code=0).json

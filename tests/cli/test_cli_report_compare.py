@@ -52,15 +52,6 @@ def test_other_settings_have_a_folder_of_their_own(recipe):
     assert {p.name for p in (recipe / "out").iterdir()} == {"steady", "steady-seed-7"}
 
 
-def test_an_edited_recipe_and_a_named_folder_replace_a_report_with_a_note(recipe):
-    robustlab("run", "steady.toml")
-    assert "held the report" not in robustlab("run", "steady.toml").err
-    (recipe / "steady.toml").write_text((recipe / "steady.toml").read_text().replace("42.0", "21.0"))
-    assert "held the report of another recipe steady with no changed settings" in robustlab("run", "steady.toml").err
-    err = robustlab("run", "steady.toml", "--set", "seed=3", "--out", "out/steady").err
-    assert "held the report of another recipe steady" in err
-
-
 # --- compare ---------------------------------------------------------------------------------------------------------
 
 QUESTION = {"text": "fast", "that": "a.x", "condition": "at least 1", "limits": [1.0, None], "why_not": ""}

@@ -80,14 +80,6 @@ def checked(tmp_path, monkeypatch):
             "step.driven.output: 'phi': set has no such output, expected one of omega",
         ),
         (
-            WHOLE + driven("violation-probability", 'input = { u = 1.0 }\nlimit = 1.0\nunit = "rad"'),
-            "step.driven: unit: rad, expected rad/s: that of the metric",
-        ),
-        (
-            WHOLE + driven("worst-case", "input = { u = 1.0 }") + require("driven.value", "at_most = 1.0", "rad"),
-            "require.0.unit: rad, expected rad/s, that of driven.value",
-        ),
-        (
             WHOLE + driven("sample", "input = { u = 1.0 }") + require("driven.outputs.phi.covers.0", "equals = true"),
             "driven.outputs has no 'phi', expected one of omega",
         ),

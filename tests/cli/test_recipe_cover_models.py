@@ -5,7 +5,6 @@ from recipe_runs import entry, run_text
 
 import robustlab as rl
 from robustlab.errors import InputError
-from robustlab.recipe import parse_recipe
 
 HEAD = """schema = "robustlab.recipe/1"
 name = "units"
@@ -21,7 +20,9 @@ do = "plant"
 plant = "servo-axis"
 parameters = { M = 90.0, Fv = 230.0 }
 """
-MODELS = 'models = ["a", "b", "c"]\noutputs = ["v"]\n'
+MODELS = 'models = ["va", "vb", "vc"]\n'
+SPEEDS = "".join(f'[step.v{n}]\ndo = "linearise"\nof = "{n}"\noutputs = ["v"]\n' for n in "abc")
+POSITIONS = SPEEDS.replace("[step.v", "[step.q").replace('["v"]', '["q"]')
 
 
 def run(tmp_path, rest):
@@ -31,8 +32,8 @@ def run(tmp_path, rest):
 def test_covers_of_three_units(tmp_path):
     result = run(
         tmp_path,
-        f'[step.boxed]\ndo = "cover-models"\n{MODELS}'
-        f'[step.full]\ndo = "cover-models"\nform = "output-multiplicative"\n{MODELS}order = 2\nconservatism = false\n'
+        f'{SPEEDS}[step.boxed]\ndo = "cover-models"\n{MODELS}'
+        f'[step.full]\ndo = "cover-models"\nform = "output-multiplicative"\n{MODELS}conservatism = false\n'
         '[step.kept]\ndo = "save"\nof = "boxed"\nfile = "set.h5"\n'
         '[[require]]\ntext = "t"\nthat = "boxed.conservatism"\nat_most = 1.2\n'
         '[[require]]\ntext = "t"\nthat = "full.excess"\nat_most = 0.1\n',
@@ -45,7 +46,7 @@ def test_covers_of_three_units(tmp_path):
     assert 1.0 <= boxed["numbers"]["conservatism_at_least"] <= boxed["numbers"]["conservatism"]
     assert 0 <= full["numbers"]["excess"] <= 0.1
     stems = [[f["stem"] for f in entry(result, name)["figures"]] for name in ("boxed", "full")]
-    assert stems == [["boxed-cloud"], ["full-weight"]]
+    assert stems == [["boxed-set"], ["full-set"]]
     assert rl.load(result.folder / "evidence" / "full.h5").data["form"] == "output-multiplicative"
 
 
@@ -55,12 +56,12 @@ def test_a_loop_is_closed_before_the_gains_are_compared(tmp_path):
     rl.save(tmp_path / "k.h5", rl.Controller(lead))
     result = run(
         tmp_path,
-        '[step.K]\ndo = "load"\npath = "k.h5"\n[step.tied]\ndo = "cover-models"\nmodels = ["a", "b", "c"]\n'
-        'outputs = ["q"]\nform = "pca"\ntolerance = 1e-6\ncontroller = "K"\n',
+        f'{POSITIONS}[step.K]\ndo = "load"\npath = "k.h5"\n[step.tied]\ndo = "cover-models"\n'
+        'models = ["qa", "qb", "qc"]\nform = "pca"\ntolerance = 1e-6\ncontroller = "K"\n',
     )
     tied = entry(result, "tied")
     assert 1.0 <= tied["numbers"]["conservatism"] <= 1.3, tied
-    assert [f["stem"] for f in tied["figures"]] == ["tied-cloud"]
+    assert [f["stem"] for f in tied["figures"]] == ["tied-set"]
 
 
 @pytest.mark.parametrize(
@@ -71,6 +72,6 @@ def test_a_loop_is_closed_before_the_gains_are_compared(tmp_path):
         ('models = ["a", "b"]\nform = "boxes"\n', "form"),
     ],
 )
-def test_a_model_that_is_no_set_is_rejected(rest, words):
+def test_a_model_that_is_no_set_is_rejected(tmp_path, rest, words):
     with pytest.raises(InputError, match=words):
-        parse_recipe(f'{HEAD}[step.set]\ndo = "cover-models"\n{rest}')
+        run(tmp_path, f'[step.set]\ndo = "cover-models"\n{rest}')

@@ -70,7 +70,6 @@ def test_every_kind_of_metric_step(tmp_path):
     [
         ('[step.w]\ndo = "worst-case"\nof = "set"\nmetric = "rms"\nsine = { u = 1.0 }\n', "belong together"),
         ('[step.w]\ndo = "worst-case"\nof = "set"\nmetric = "peek"\n', "peak"),
-        ('[step.s]\ndo = "sample"\nof = "set"\nt_end = 1.0\n', "expected input, or sine"),
         (
             '[step.s]\ndo = "sample"\nof = "set"\nt_end = 1.0\nsine = { u = 1.0 }\n',
             "belong together",

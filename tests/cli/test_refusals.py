@@ -100,8 +100,6 @@ REFUSED = [
     (f"synth dk p.h5 {CHANNELS}", 3, "block"),
     (f"synth fixed p.h5 {CHANNELS} --structure pidd", 3, "did you mean pid"),
     ("synth ncf p.h5 --factor 1", 3, "above 1"),
-    ("synth reduce p.h5 k.h5 --measurements y", 2, ""),
-    ("synth discretise p.h5 k.h5 --dt 0", 3, ""),
     ("data compare servo-axs run.h5 --set M=1", 2, "did you mean servo-axis"),
     ("data compare servo-axis run.h5 --set M", 2, "NAME=VALUE"),
     ("data compare servo-axis run.h5 --set Mass=1", 3, "Mass"),

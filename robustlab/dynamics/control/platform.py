@@ -8,7 +8,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -343,6 +343,16 @@ class ControlledRuns(Displayable):
     notes: tuple[str, ...]
     status: Status = Status.CONVERGED
 
+    quantities: ClassVar[Mapping[str, Any]] = {
+        "controllers": {
+            "*": {
+                **dict.fromkeys(("largest_error", "worst_error", "largest_torque", "largest_voltage"), float),
+                "order": "1", "largest": {"*": float}, "within_limits": bool, "spectral_abscissa": "1/s",
+                "position_error": "m", "orientation_error": "rad", "nut_errors": {"phi_*": "rad"},
+            }
+        }
+    }  # fmt: skip
+
     def headline(self) -> str:
         return f"simulated under {len(self.controllers)} controllers"
 
@@ -382,7 +392,7 @@ def follow_sine(
     omega: float,
     rise_time: float,
     t_end: float,
-    limits: Mapping[str, float],
+    limits: Mapping[str, float] | None = None,
     points: int = 2001,
     step: float = 1e-4,
     after: float = 0.0,
@@ -394,7 +404,7 @@ def follow_sine(
     """Simulate a linear plant that follows a growing sine, nominal and sampled models, with unmodelled effects."""
     if not isinstance(plant, LinearPlant):
         raise InputError("follow_sine: plant", type(plant).__name__, "a linear plant")
-    units = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}
+    units, limits = {s.name: s.unit for s in (*plant.outputs, *plant.inputs)}, limits or {}
     for name in limits:
         if name not in units:
             raise unknown_name(f"limits.{name}", "no such signal", name, list(units))
@@ -454,7 +464,7 @@ def follow_path(
     plant: Any,
     controllers: Mapping[str, Any],
     *,
-    at: Sequence[float] | None,
+    at: Sequence[float] | None = None,
     scale: float,
     rise_time: float,
     t_end: float,

@@ -93,6 +93,10 @@ class NoiseInput(AllFields):
     unit: str
     origin: str
 
+    @property
+    def in_words(self) -> str:
+        return f"{self.name}: at most {self.bound:.5g} {self.unit}: {self.origin}"
+
 
 def _force_parts(
     plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float

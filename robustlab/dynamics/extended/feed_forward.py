@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.display import Facts, number
+from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError
 from robustlab.signals import Signal
 from robustlab.statespace import real_array
@@ -36,7 +36,7 @@ class DryLevel(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FeedForward:
+class FeedForward(Displayable):
     """An input as a function of the reference's position and speed."""
 
     input: Signal
@@ -45,6 +45,8 @@ class FeedForward:
     dry: tuple[DryLevel, ...] = ()
     of: tuple[str, ...] = ()
     left: float = 0.0
+
+    quantities: ClassVar[Mapping[str, Any]] = {"largest": float, "left": float}
 
     def __call__(self, q: ArrayLike, v: ArrayLike) -> Array:
         """Return the input at positions q and speeds v of the reference, both of one shape, (n,) or ()."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,11 @@ class DataCover(Evidence):
     held_out_loads: float
     loads: tuple[NoiseInput, ...]
     validations: Mapping[str, Validation]
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("radius", "needed", "needed_lower", "held_out", "held_out_loads"), "1"),
+        "passes": bool, "blocks": [str], "loads": {"*": float},
+    }  # fmt: skip
 
     @property
     def passes(self) -> bool:

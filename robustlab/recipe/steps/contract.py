@@ -144,9 +144,7 @@ class Workspace:
 
     folder: Path  # the output folder; `files` lists the files written, relative to it
     seed: int  # seed of the recipe
-    # Step name -> value of each finished step, and its numbers for requirements.
-    values: dict[str, Any] = field(default_factory=dict)
-    numbers: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+    values: dict[str, Any] = field(default_factory=dict)  # step name -> value of each finished step
     files: list[str] = field(default_factory=list)
     inputs: dict[str, str] = field(default_factory=dict)
     # Step name -> its figures as (file stem, caption).
@@ -211,15 +209,6 @@ def facts_of(found: Any) -> tuple[Fact, ...]:
         for label, text in found.facts()
         if text
     )
-
-
-def outcome_of(found: Any, value: Any, summary: str, work: Workspace) -> Outcome:
-    """Return the outcome of a `Displayable` result: its pictures, numbers, facts and tables."""
-    for name, picture in work.pictures(found):
-        work.draw(picture.figure, name, getattr(found, "caption", picture.caption))
-    numbers = {name: number for name, number in found.numbers().items() if number is not None}
-    status, notes = getattr(found, "status", None), getattr(found, "notes", ())
-    return Outcome(value, summary, numbers, facts_of(found), status, notes, found.tables())
 
 
 # --- names that requirements may refer to ---------------------------------------------------------------------------

@@ -58,7 +58,11 @@ class OperationStep(Step):
         of = given if isinstance(given, str) else None
         fits = [compared(ahead, of, name) for name in self._records() if name != of]
         inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].outputs)
-        return Inferred(leaves=with_signals(self.pattern(ahead), inputs, outputs))
+        leaves = with_signals(self.pattern(ahead), inputs, outputs)
+        for p in self.declared.parameters:
+            if isinstance(p.kind, Thing) and p.kind.named and p.key in leaves:
+                leaves[p.key] = dict.fromkeys(getattr(self, p.key), leaves[p.key]["*"])
+        return Inferred(leaves=leaves)
 
     def pattern(self, ahead: Ahead) -> Any:
         """Return the names for requirements; a kind of step may know more than its result's class."""
@@ -95,13 +99,16 @@ class OperationStep(Step):
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence
             for part, one in (("", result), *found.beside.items()):
-                if getattr(one, "status", None) is not None:
+                judged = getattr(one, "status", None) is not None
+                if judged:
                     work.keep(one, part)
-                for name, picture in work.pictures(one):
+                for name, picture in work.pictures(one) if not (part and judged) else ():
                     if part or name not in found.beside:  # an additional result replaces the picture
                         work.draw(picture.figure, name, picture.caption)
+        if self.gives == "record" and work.simulated.intersection(self._records()):
+            work.simulated.add(work.step)
         first = _first(self.declared)
-        of = getattr(self, first) if first else ""
+        of = (getattr(self, first) if first else None) or ""
         what = result.headline() or self.declared.title.rstrip(".")
         summary = f"{of if isinstance(of, str) else ', '.join(of)}: {what}.".removeprefix(": ")
         value = self.declared.made_of(result) if self.gives != "nothing" else None
@@ -111,7 +118,7 @@ class OperationStep(Step):
         facts = (*(Fact(name.capitalize(), word) for name, word in words.items() if word), *facts_of(result))
         # A class without its own summary has its facts in the report already.
         text = result.tables() if type(result).summary is Displayable.summary else result.report()
-        numbers = {name: value for name, value in result.numbers().items() if value is not None}
+        numbers = {name: value for name, value in result.numbers().items() if value is not None} | dict(found.numbers)
         return Outcome(value, summary, numbers, facts, getattr(result, "status", None), notes, text)
 
 
@@ -146,7 +153,7 @@ def step_of(word: str, declared: Operation) -> type[OperationStep]:
             continue
         kind: Any = p.kind.field()
         default = ... if p.needed else p.default if p.called.in_step is None else p.called.in_step
-        if p.needed and isinstance(p.kind, Thing) and p.kind.many:
+        if p.needed and isinstance(p.kind, Thing) and (p.kind.many or p.kind.named):
             kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
@@ -164,7 +171,8 @@ def _first(declared: Operation) -> str:
 
 def _thing(kind: Thing, given: Any, work: Workspace) -> Any:
     if isinstance(given, list):
-        return [kind.as_wanted(work.values[name], f"step {name!r}") for name in given]
+        found = {name: kind.as_wanted(work.values[name], f"step {name!r}") for name in given}
+        return found if kind.named else list(found.values())
     if kind.discovery and given in work.discoveries:
         return work.discoveries[given]
     if isinstance(given, str):

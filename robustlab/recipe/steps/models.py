@@ -13,10 +13,6 @@ import robustlab as rl
 from robustlab.operations.vocabulary import FileName, NumberOrPair, Text, ToAnything, ToSaved
 from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, quantity, step
 
-MODEL: dict[str, Any] = {
-    "states": "1", "inputs": [str], "outputs": [str], "spectral_abscissa": float, "poles": list,
-}  # fmt: skip
-
 
 @step
 class PlantStep(Step):
@@ -85,7 +81,7 @@ class LoadStep(Step):
     """A model from an HDF5 file: a path, or the file that an earlier step saved."""
 
     gives: ClassVar[str] = "any"
-    leaves: ClassVar[Any] = {"kind": str, "verified": bool, **MODEL}
+    leaves: ClassVar[Any] = {"kind": str, "verified": bool, **rl.StateSpaceModel.quantities}
     do: Literal["load"]
     path: Text | None = None
     saved: ToSaved | None = None
@@ -113,10 +109,7 @@ class LoadStep(Step):
         model = found.to_model() if hasattr(found, "to_model") else found
         numbers: dict[str, Any] = {"kind": kind, "verified": loaded.verified}
         if isinstance(model, rl.StateSpaceModel):
-            numbers |= {
-                "states": model.n_states, "inputs": list(model.input_names), "outputs": list(model.output_names),
-                "spectral_abscissa": model.spectral_abscissa(), "poles": model.poles(),
-            }  # fmt: skip
+            numbers |= model.numbers()
         proof = "its checksums and content hash are right" if loaded.verified else "it carries no content hash to check"
         summary = f"{kind} read from {path.name}; {proof}."
         return Outcome(found, summary, numbers, facts_of(found), notes=loaded.warnings)

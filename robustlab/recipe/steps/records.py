@@ -1,4 +1,4 @@
-"""Steps on measurements: reading, joining and comparing records, identifying missing effects."""
+"""Steps on measurements: reading and comparing records, identifying missing effects."""
 
 from __future__ import annotations
 
@@ -9,11 +9,9 @@ from pydantic import Field
 
 import robustlab as rl
 from robustlab.operations.declaration import InLoop
-from robustlab.operations.vocabulary import Positive, Text, ToRecord
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
+from robustlab.operations.vocabulary import Positive, Text
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, step
 from robustlab.recipe.steps.generated import BASES, OperationStep
-
-RECORD = {"samples": "1", "duration": "s", "dt": "s"}
 
 
 @step
@@ -21,7 +19,7 @@ class RecordStep(Step):
     """A record from HDF5, MATLAB or CSV; its file may be anywhere."""
 
     gives: ClassVar[str] = "record"
-    leaves: ClassVar[Any] = RECORD
+    leaves: ClassVar[Any] = rl.Record.quantities
     do: Literal["record"]
     path: Text
     group: str | None = None
@@ -48,45 +46,8 @@ class RecordStep(Step):
         notes = (" ".join(self.about.split()),) if self.about else ()
         if self.simulated:
             work.simulated.add(work.step)
-        return _as_record(found, f"Record {path.name} read ({'simulated' if self.simulated else 'measured'}).", notes)
-
-
-@step
-class JoinStep(Step):
-    """One record from two loggers with different sample times; a shift between their clocks is not detected."""
-
-    gives: ClassVar[str] = "record"
-    leaves: ClassVar[Any] = RECORD
-    do: Literal["join"]
-    first: ToRecord
-    second: ToRecord
-    dt: Positive | None = Field(None, description="s; the coarser of the two where left out.")
-
-    def infer(self, ahead: Ahead) -> Inferred:
-        first, second = ahead[self.first], ahead[self.second]
-        if None in (first.inputs, second.inputs):
-            return Inferred()
-        return Inferred(
-            None, {**(first.inputs or {}), **(second.inputs or {})}, {**(first.outputs or {}), **(second.outputs or {})}
-        )
-
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.identification.data_checks.resampling import join_clocks
-
-        if work.simulated & {self.first, self.second}:
-            work.simulated.add(work.step)
-        found = join_clocks(work.wanted(self.first, rl.Record), work.wanted(self.second, rl.Record), self.dt)
-        return _as_record(found, f"{self.first} and {self.second} on one clock.", ())
-
-
-def _as_record(found: rl.Record, summary: str, notes: tuple[str, ...]) -> Outcome:
-    signals = [f"{name} [{found.unit(name) or 'unit not stated'}]" for name in (*found.inputs, *found.outputs)]
-    numbers = {"samples": found.n, "duration": found.duration, "dt": found.dt}
-    facts = (
-        Fact("Samples", f"{found.n}, {quantity(found.duration, 's')} in steps of {quantity(found.dt, 's')}"),
-        Fact("Signals", ", ".join(signals)),
-    )
-    return Outcome(found, summary, numbers, facts, notes=notes)
+        summary = f"Record {path.name} read ({'simulated' if self.simulated else 'measured'})."
+        return Outcome(found, summary, found.numbers(), facts_of(found), notes=notes)
 
 
 class Naming(OperationStep):

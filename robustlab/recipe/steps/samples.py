@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber, unknown_name
@@ -38,14 +37,6 @@ class SampleStep(Step):
         None, gt=0, description="Draw the members' deviation in percent too, with this published band (+-)."
     )
 
-    @model_validator(mode="after")
-    def _is_driven(self) -> Self:
-        if bool(self.sine) != (self.frequency is not None):
-            raise PydanticCustomError("sine", "sine and frequency belong together")
-        if not self.input and not self.sine:
-            raise PydanticCustomError("driven", "expected input, or sine with frequency")
-        return self
-
     def infer(self, ahead: Ahead) -> Inferred:
         outputs = ahead[self.of].select(self.outputs).outputs
         if outputs is None:
@@ -67,7 +58,6 @@ class SampleStep(Step):
         model = work.wanted(self.of, rl.UncertainModel)
         if self.outputs:
             model = model.select(None, self.outputs)
-        self._check_references([s.name for s in model.outputs])
         drive = Excitation(self.input, self.sine, self.frequency, self.t_end, self.points).of(model)
         seed = work.seed if self.seed is None else self.seed
         responses = rl.sample(model, self.n, seed, vertices=self.vertices).respond(**drive)

@@ -19,10 +19,12 @@ NAMES = [d.function.__name__ for d in OPERATIONS]
 # What only one operation can offer, and why.
 ONE_WAY: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
-    "cover": "the step takes a plant at several poses, and compares loops with references",
+    "cover": "the members' envelope of a record, in recipes",
     "discretise_by_formula": "one line in Python",
     **dict.fromkeys(("show", "sample", "campaign", "resume", "stored"), "of a command alone"),
-    **dict.fromkeys(("steady_state", "close_loop"), "one line in Python; shipped recipes use the step"),
+    **dict.fromkeys(("steady_state", "close_loop", "cascade", "join"), "one line in Python; recipes use the step"),
+    **dict.fromkeys(("data_cover", "with_loads", "tracking_problem", "feed_forward"), "of recipes"),
+    **dict.fromkeys(("compare_performance", "follow_sine", "follow_path"), "of recipes"),
 }
 
 
