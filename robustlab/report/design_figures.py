@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.linear_analysis.frequency import frequency_response
@@ -141,33 +140,6 @@ def performance_picture(found: PerformanceComparison) -> Figure:
     style.frequency_axis(axes, (omega[0], omega[-1]))
     axes.set(ylim=(0, 1.1 * top), ylabel="μ of robust performance")
     style.legend_below(figure, (axes,), 2)
-    return figure
-
-
-@style.house_style()
-def history_picture(design: Any) -> Figure:
-    """Iterates of a D-K search: mu at single frequencies (NaN: not computed), proved bound, order of K."""
-    mu, proved, orders, stages = (
-        np.array([getattr(s, name) for s in design.history]) for name in ("mu", "gamma", "order", "stage")
-    )
-    steps, best = np.arange(1, len(proved) + 1), int(np.argmin(proved))
-    figure, (level, order) = style.new_figure(2, 1, width=8.0, height=2.2, sharex=True)
-    colours = (style.SAMPLE, style.NOMINAL, style.GOOD, style.LIMIT)
-    for stage, colour in zip(dict.fromkeys(stages.tolist()), colours, strict=False):
-        mine = stages == stage
-        label = f"{style.plain_label(stage)}: proved"
-        level.plot(steps[mine], proved[mine], "o", color=colour, ms=5, label=label)
-    level.plot(steps, proved, color=style.SAMPLE, lw=0.8, zorder=1)
-    level.plot(steps, mu, "x", color=style.MEASURED, ms=5, label="μ at single frequencies")
-    level.plot(steps[best], proved[best], "o", ms=11, mfc="none", color=style.WORST, label="smallest")
-    level.axhline(1.0, color=style.LIMIT, ls=style.DASHED, lw=1.1, label="1: robust performance")
-    style.logarithmic(level.yaxis)
-    finite = [1.0, *proved[np.isfinite(proved)]]
-    level.set(ylim=(0.7 * min(finite), 1.5 * max(finite)), ylabel="bound of μ")
-    level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    order.step(steps, orders, where="mid", color=style.NOMINAL)
-    order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(1, *orders)))
-    order.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 

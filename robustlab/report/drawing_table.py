@@ -51,22 +51,18 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
-    "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture", "history": "design_figures.history_picture"},
+    "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture"},
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
     "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
     "SampledController": {"loop": "design_figures.loop_picture"},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     # measurements
-    "Comparison": {
-        name: f"comparison_figures.{name}_figure" for name in ("where", "time", "speed", "spectrum", "residual")
-    },
+    "Comparison": {name: f"comparison_figures.{name}_figure" for name in ("where", "time", "speed")},
     "Discovery": {
         "gap": "discovery.gap_figure",
         "force": "discovery.force_of",
         "run": "discovery.free_run_figure",
-        "stretch": "discovery.stretch_figure",
-        "posterior": "discovery.posterior_figure",
     },
     "Validation": {"record": "set_figures.validation_figure"},
     "DataCover": {"record": "set_figures.cover_record"},

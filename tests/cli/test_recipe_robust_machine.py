@@ -153,7 +153,7 @@ def test_every_design_step_on_a_small_problem(tmp_path):
     assert numbers(result, "shape")["gamma"] <= 1.1 * numbers(result, "shape")["gamma_min"] * (1 + 1e-6)
     assert isinstance(rl.load(result.folder / "task.h5"), rl.UncertainModel)
     figures = {f["stem"] for s in result.data["steps"] for f in s["figures"]}
-    assert {"dk-history", "dk-functions", "shape-functions", "gain-loop"} <= figures
+    assert {"dk-functions", "shape-functions", "gain-loop"} <= figures
 
 
 def test_h2_of_a_generalised_plant_from_a_file(tmp_path):
