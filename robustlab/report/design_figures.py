@@ -12,11 +12,8 @@ from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis import robust_performance
 from robustlab.report import style
-from robustlab.report.robustness_figures import mu_figure
 from robustlab.synthesis.specifications.loop_functions import frequencies, loop_functions
-from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
     from robustlab.analysis.performance import PerformanceComparison
@@ -189,10 +186,3 @@ def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
         allowed = proved / loop.gamma if proved is not None and np.isfinite(proved).all() else None
         panels[heading] = loop.gain(name, omega), allowed
     return functions_figure(omega, panels, loop.gamma, "closed loop")
-
-
-def mu_picture(design: Any) -> Figure:
-    """Bounds of mu of a D-K design over frequency, proved on the whole axis again from its closed loop."""
-    loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])
-    omega = frequencies(design.closed_loop, 160)
-    return mu_figure(robust_performance(loop, omega=omega, accuracy=1e-3, tolerance=float("inf")))

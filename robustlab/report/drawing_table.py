@@ -50,8 +50,7 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "CampaignResult": {"delta": "set_figures.member_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
-    **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController"), _LOOP),
-    "DKSynthesis": {**_LOOP, "mu": "design_figures.mu_picture"},
+    **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController", "DKSynthesis"), _LOOP),
     "PerformanceComparison": {"mu": "design_figures.performance_picture"},
     "ControlledRuns": {"runs": "design_figures.runs_picture"},
     "TrackingLoop": {"functions": "design_figures.tracking_picture"},
