@@ -19,17 +19,16 @@ FREE_RUN: dict[str, Any] = {"color": FREE, "ls": style.DASHED, "label": "simulat
 
 @style.house_style()
 def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """RMS of the windowed error over time, direction, speed, position and input, on one scale; and frequency.
+    """RMS of the windowed error over time, direction, speed, position and input, on one scale.
 
     The largest of each panel is orange; the green line is the noise of a sample where the record repeats. Panels that
     need a speed or a position which is not recorded are left out.
     """
     output = style.chosen(list(comparison.outputs), output, "output")
     panels = _where_panels(comparison, output)
-    spectrum = comparison.frequency.get(output)
     w, gap, unit = comparison.windows[output], comparison.outputs[output], comparison.outputs[output].unit
     noise = comparison.noise.std[output] if comparison.noise else None
-    count = 1 + len(panels) + (spectrum is not None)
+    count = 1 + len(panels)
     figure, axes = style.new_figure((count + 1) // 2, 2, width=8.2, height=2.15)
     _worst_bars(axes[0], np.append(w.start, w.stop[-1]), w.windowed_rms)
     axes[0].set(xlabel="time [s]", title=f"windows of {comparison.window:.3g} s")
@@ -44,19 +43,12 @@ def where_figure(comparison: Comparison, output: str | None = None) -> Figure:
         axes[1].grid(visible=False, axis="x")
         title = ", ".join(f"{name} {100 * d.share:.0f} %" for name, d in sides.items())
         axes[1].set(xlabel="direction (title: shares of the squared error)", title=title)
-    used = axes[: 1 + len(panels)]
+    used = axes[:count]
     top = 1.1 * max(p.dataLim.y1 for p in used) or 1.0
     for panel in used:
         panel.set(ylabel=style.axis_label("rms error", unit), ylim=(0.0, top))
         if noise:
             panel.axhline(noise, color=style.GOOD, lw=1.2, ls=(0, (4, 2)))
-    if spectrum is not None:
-        share, edges = spectrum.error_share, spectrum.bands
-        most = int(share.argmax())
-        _worst_bars(axes[count - 1], np.arange(len(edges), dtype=float), 100 * share)
-        axes[count - 1].set_xticks(np.arange(len(edges)), [f"{edge:.3g}" for edge in edges])
-        title = f"free run: {100 * share[most]:.0f} % at {edges[most]:.3g} to {edges[most + 1]:.3g} Hz"
-        axes[count - 1].set(xlabel="frequency [Hz]", ylabel="share of square [%]", title=title)
     for panel in axes[count:]:
         panel.remove()
     floor = "" if noise is None else f", noise {noise:.2g} {unit}"
