@@ -143,7 +143,8 @@ def read_record(
         hint = did_you_mean(group or "", known)
         raise InputError(where, f"missing group /{group}", one_of("one of", known), hint)
     if set(SIDES) & set(node.groups):
-        return choose(_stored(node, where), **{**choice, "allow_gaps": True})
+        choice["allow_gaps"] = True
+        return choose(_stored(node, where), **choice)
     return choose(_of_tree(path, tree, node, group), **choice)
 
 
