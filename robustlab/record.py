@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +16,13 @@ from robustlab.display import Displayable, Facts, number, short, with_units
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.provenance import Traced
 from robustlab.signals import MAX_NAME, real_array
-from robustlab.tables import Table, Tabular
+
+if TYPE_CHECKING:
+    import pandas
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record(Tabular, Displayable, Traced):
+class Record(Displayable, Traced):
     """Time series with strictly increasing times; immutable.
 
     Parameters
@@ -176,9 +178,69 @@ class Record(Tabular, Displayable, Traced):
 
         return cls(**read_record(path, group, inputs=inputs, outputs=outputs, dt=dt, **options))
 
-    def table(self) -> Table:
-        """Return the signals over the times in s, inputs first."""
-        return Table(("t", self.t), {**self.inputs, **self.outputs}, {"t": "s", **self.units})
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the record as a data frame of pandas (extra ``frames``).
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``t`` in s, a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``, ``meaning``,
+            ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
+
+        Raises
+        ------
+        DependencyMissing
+            pandas is not installed.
+
+        Examples
+        --------
+        >>> frame = Record([0.0, 0.1], {"u": [0, 1]}, {"q": [0.0, 0.3]}, {"q": "m"}).to_pandas()
+        >>> list(frame.columns), frame.index.name, frame.attrs["units"]
+        (['u', 'q'], 't', {'t': 's', 'u': '', 'q': 'm'})
+        """
+        from robustlab.files.records import frame_of
+
+        return frame_of(vars(self))
+
+    @classmethod
+    def from_pandas(
+        cls,
+        frame: pandas.DataFrame,
+        inputs: Sequence[str] | None = None,
+        outputs: Sequence[str] | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Record:
+        """Make a record of the columns of a data frame (extra ``frames``).
+
+        Parameters
+        ----------
+        frame
+            Rows are samples. The index has the times: numbers in s, durations, or dates (counted from the first); of
+            numbered rows a column ``t`` or ``time``.
+        inputs, outputs
+            As in `read`; from ``frame.attrs`` where left out.
+        units
+            Unit of the numbers of a column, which are converted to SI. A unit in ``frame.attrs["units"]`` is a label.
+
+        Raises
+        ------
+        InputError
+            Columns that are no numbers, have one name, or are nested; NaN; no times, or times that do not increase.
+        DependencyMissing
+            pandas is not installed.
+
+        Examples
+        --------
+        >>> import pandas
+        >>> frame = pandas.DataFrame({"u": [0.0, 1.0], "phi": [0.0, 180.0]})
+        >>> frame.index = pandas.to_timedelta([0, 2], unit="ms")
+        >>> r = Record.from_pandas(frame, ["u"], ["phi"], {"phi": "deg"})
+        >>> r.t.tolist(), r["phi"].round(6).tolist(), r.unit("phi")
+        ([0.0, 0.002], [0.0, 3.141593], 'rad')
+        """
+        from robustlab.files.records import keywords_of_frame
+
+        return cls(**keywords_of_frame(frame, inputs, outputs, units))
 
     def to_json(self) -> dict[str, object]:
         """Return all samples as plain types."""

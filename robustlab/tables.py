@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from robustlab.errors import DependencyMissing
 
 if TYPE_CHECKING:
     import pandas
@@ -39,9 +36,9 @@ class Tabular:
         DependencyMissing
             pandas is not installed.
         """
-        if importlib.util.find_spec("pandas") is None:
-            hint = "pip install 'robustlab[frames]'"
-            raise DependencyMissing(f"{type(self).__name__}.to_pandas", "needs the package pandas", None, hint)
+        from robustlab.files.records import need
+
+        need(f"{type(self).__name__}.to_pandas", "pandas", "frames")
         import pandas
 
         table = self.table()

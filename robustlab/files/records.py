@@ -14,23 +14,25 @@ Values of several columns become channels numbered as in MATLAB: ``q(1)``, ``q(2
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
-from robustlab.errors import InputError, UnitMismatch, did_you_mean
+from robustlab.errors import DependencyMissing, InputError, UnitMismatch, did_you_mean
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import (
     Tree,
     Unread,
+    canonical,
     check_header,
     is_stamped,
     link_name,
@@ -40,6 +42,9 @@ from robustlab.files.tree import (
     type_name,
 )
 from robustlab.units import factor_to_si, same_unit
+
+if TYPE_CHECKING:
+    import pandas
 
 CLOCK_NAMES = ("t", "time", "Time", "TIME", "T", "timestamp", "tout", "zeit", "Zeit")
 SIDES = ("inputs", "outputs")
@@ -534,3 +539,86 @@ def _clock(source: Source, name: str, note: bool) -> Array:
             source.notes.append(f"t counts from {name} = {int(raw[0])} {channel.unit or 's'} on")
         t = (raw - raw[0]).astype(np.float64)
     return t / round(1 / factor) if factor < 1 else t * factor
+
+
+# --- tables of pandas -------------------------------------------------------------------------------------------------
+# The frame's ``attrs`` hold inputs, outputs, units, meanings and the record's name, so that no information is lost.
+
+
+def need(where: str, package: str, extra: str) -> None:
+    """Raise where an optional package is not installed."""
+    if importlib.util.find_spec(package) is None:
+        raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
+
+
+def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
+    """Return a data frame with index ``t`` in s; see `robustlab.record.Record.to_pandas`."""
+    need("Record.to_pandas", "pandas", "frames")
+    import pandas
+
+    inputs, outputs = keywords["inputs"], keywords["outputs"]
+    frame = pandas.DataFrame({**inputs, **outputs}, index=pandas.Index(keywords["t"], name="t"))
+    frame.attrs = {
+        "name": keywords["name"],
+        "units": {"t": "s", **keywords["units"]},
+        "meaning": dict(keywords["meaning"]),
+        "inputs": list(inputs),
+        "outputs": list(outputs),
+    }
+    return frame
+
+
+def keywords_of_frame(
+    frame: Any, inputs: Sequence[str] | None, outputs: Sequence[str] | None, units: Mapping[str, str] | None
+) -> dict[str, Any]:
+    """Invert `frame_of`; see `robustlab.record.Record.from_pandas`."""
+    where = "Record.from_pandas"
+    need(where, "pandas", "frames")
+    import pandas
+
+    if not isinstance(frame, pandas.DataFrame):
+        raise InputError(where, f"a {type(frame).__name__}", "a pandas DataFrame")
+    if isinstance(frame.columns, pandas.MultiIndex) or isinstance(frame.index, pandas.MultiIndex):
+        raise InputError(where, "nested columns or rows (a MultiIndex)", "one name a column, one time a row")
+    names = [str(name) for name in frame.columns]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(where, f"column name {twice[0]!r} is used twice", "unique names")
+    attrs = {key: value for key, value in frame.attrs.items() if isinstance(key, str)}
+    stated, meaning = (attrs[key] if isinstance(attrs.get(key), dict) else {} for key in ("units", "meaning"))
+    source = Source(where, str(attrs.get("name", "frame")), "", {})
+    for k, name in enumerate(names):
+        values, unit = _values(frame.iloc[:, k])
+        source.channels[name] = Channel(values, unit or str(stated.get(name, "")), str(meaning.get(name, "")))
+    for side in ("inputs", "outputs"):
+        given = attrs.get(side)
+        getattr(source, side).extend([n for n in given if n in names] if isinstance(given, list) else [])
+    if "t" in meaning:
+        source.notes += str(meaning["t"]).splitlines()
+    if not isinstance(frame.index, pandas.RangeIndex):
+        (values, unit), name = _values(frame.index), str(frame.index.name or "index")
+        source.add_clock(name, Channel(values, unit or str(stated.get(name, ""))))
+    elif not any(name in names for name in CLOCK_NAMES):
+        hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
+        raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
+    # Gaps are allowed; `check_record` reports them.
+    return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=True))
+
+
+def _values(column: Any) -> tuple[AnyArray | Unread, str]:
+    """Return numbers; dates and durations as whole numbers with their unit; anything else as `Unread`."""
+    kind = column.dtype
+    code = getattr(kind, "kind", "O")
+    if code in "mM":
+        raw = np.asarray(column)
+        if raw.dtype.kind == "O":  # with a time zone
+            raw = np.asarray(column, dtype="datetime64[ns]")
+        if np.isnat(raw).any():
+            return Unread(f"{kind} with times that are none (NaT)", (len(column),)), ""
+        return np.ascontiguousarray(raw).view(np.int64), str(np.datetime_data(raw.dtype)[0])
+    if code not in "fiub":
+        return Unread(str(kind), (len(column),)), ""
+    if isinstance(kind, np.dtype):
+        return canonical(np.asarray(column), "column"), ""
+    whole = code in "iu" and not column.isna().any()
+    return canonical(column.to_numpy(np.int64) if whole else column.to_numpy(np.float64, na_value=np.nan), "column"), ""

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from robustlab.arrays import not_finite
 from robustlab.errors import InputError
 from robustlab.files.signature import Limits
 from robustlab.files.tree import Tree, Unread, link_name, one_number, signal_name
 from robustlab.result import Result, Status
-from robustlab.signals import real_array
 from robustlab.statespace import StateSpaceModel
 from robustlab.storage.matrices import (
     Problems,
@@ -239,34 +239,39 @@ def encode_lpv(tree: Tree, model: Any) -> None:
 
 
 def decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
-    from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
-
     need(tree, problems, groups=("parameters", "signals"), datasets=("matrices", "deviation"))
+    for name in ("matrices", "deviation"):
+        values = tree.datasets[name].values
+        if isinstance(values, Unread) or values.dtype.kind not in "fi" or values.ndim < 3 or not_finite(values):
+            problems.add(f"{tree.child_path(name)}: expected finite real numbers, three dimensions or more")
     group = tree.groups["parameters"]
     found = columns(group, {**COLUMNS, "count": "i"}, problems)
     points = columns(group, {"points": "fi"}, problems).get("points", [])
-    states, inputs, outputs = (side or [] for side in decode_signals(tree, problems))
+    sides = [side or [] for side in decode_signals(tree, problems)]
     problems.raise_any()
-    ends = np.cumsum(found["count"], dtype=int)
+    try:
+        return _lpv_model(tree, found, points, sides)
+    except (InputError, ValueError, KeyError, IndexError) as error:
+        text = error.line if isinstance(error, InputError) else str(error)
+        raise InputError(problems.file, f"no LPV model: {text}", "what kind lpv of format 1 says") from None
+
+
+def _lpv_model(tree: Tree, found: dict[str, Any], points: list[float], sides: list[Any]) -> Any:
+    from robustlab.synthesis.scheduling.parameter_varying import LPVModel, SchedulingParameter
+
+    matrices, deviation = (np.asarray(tree.datasets[name].values, float) for name in ("matrices", "deviation"))
+    ends = np.cumsum(found["count"])
     if not len(ends) or ends[-1] != len(points):
-        wanted = f"{sum(found['count'])}, as count says"
-        raise InputError(problems.file, f"{group.child_path('points')} has {len(points)} entries", wanted)
+        raise InputError("parameters", f"{len(points)} points", f"{sum(found['count'])}, as count says")
     grids = [tuple(grid) for grid in np.split(np.asarray(points, float), ends[:-1])]
-    shape = *map(len, grids), len(states) + len(outputs), len(states) + len(inputs)
-
-    def made() -> LPVModel:
-        matrices, deviation = (
-            real_array(tree.child_path(name), tree.datasets[name].values, len(shape), problems.file)  # type: ignore[arg-type]
-            for name in ("matrices", "deviation")
-        )
-        if matrices.shape != shape:
-            raise InputError(problems.file, f"/matrices has shape {matrices.shape}", f"{shape}")
-        rows = zip(found["name"], grids, found["rate"], found["unit"], strict=True)
-        parameters = tuple(SchedulingParameter(*row) for row in rows)
-        known = str(np.asarray(tree.attrs.get("known", "")))
-        return LPVModel.of(parameters, matrices, len(states), inputs, outputs, states, deviation, known)
-
-    return problems.built(made)
+    rows = zip(found["name"], grids, found["rate"], found["unit"], strict=True)
+    states, inputs, outputs = sides
+    n = int(np.asarray(tree.attrs["states"]))
+    expected = (*map(len, grids), n + len(outputs), n + len(inputs))
+    if matrices.shape != expected or len(states) != n:
+        raise InputError("matrices", f"shape {matrices.shape}", f"{expected}")
+    parameters = tuple(SchedulingParameter(*row) for row in rows)
+    return LPVModel.of(parameters, matrices, n, inputs, outputs, states, deviation, str(tree.attrs["known"]))
 
 
 def encode_lpv_controller(tree: Tree, controller: Any) -> None:

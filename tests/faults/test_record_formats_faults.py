@@ -1,6 +1,7 @@
 """Records that are cut short, hostile, or no records: one line, and exit code 3."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.io
 
@@ -32,3 +33,31 @@ def test_logs_that_do_not_fit_their_times(tmp_path):
     scipy.io.savemat(tmp_path / "e.mat", {"a": {"time": np.zeros((0, 0)), "values": T[:, None]}})
     refused("no clock and no sample time", tmp_path / "e.mat")
     assert read(tmp_path / "e.mat", dt=0.5).dt == 0.5
+
+
+# --- tables in memory ------------------------------------------------------------------------------------------------
+
+FRAMES = [
+    (pd.DataFrame({"q": T}), "rows are numbered, and no column is a clock"),
+    (pd.DataFrame({"q": ["a"] * 21}, index=T), "q: dtype (str|object), expected a column"),
+    (pd.DataFrame({"q": [T] * 21}, index=T), "q: dtype object, expected a column"),
+    (pd.DataFrame({"q": 1j * T}, index=T), "q: dtype complex128"),
+    (pd.DataFrame({"q": pd.array([None, *T[1:]], "Float64")}, index=T), r"q\[0\] is NaN|q\[0\].*NaN"),
+    (pd.DataFrame(np.c_[T, T], index=T, columns=["q", "q"]), "column name 'q' is used twice"),
+    (pd.DataFrame(np.c_[T, T], index=T, columns=[["a", "a"], ["b", "c"]]), "nested columns"),
+    (pd.DataFrame({"q": T}, index=JUMP), r"t\[7\] = 0 s runs backwards"),
+    (pd.DataFrame({"q": T}, index=pd.DatetimeIndex([pd.NaT] * 21)), "with times that are none"),
+    (pd.DataFrame({"q": T}, index=["a"] * 21), "index: dtype (str|object)"),
+    (
+        pd.DataFrame({"q": T}, index=1_700_000_000_000_000_000 + np.arange(21)),
+        r"index: times of 1.7e\+18 and no unit, .*\nhint: units=\{.index.: .ns.\}",
+    ),
+    (pd.DataFrame(index=T), "no signals here"),
+    (T, "a ndarray, expected a pandas DataFrame"),
+]
+
+
+@pytest.mark.parametrize(("frame", "match"), FRAMES)
+def test_frames(frame, match):
+    with pytest.raises(InputError, match=match):
+        rl.Record.from_pandas(frame)

@@ -1,9 +1,10 @@
-"""Records through format 1 come back bit for bit; several clocks against closed forms."""
+"""Records through pandas and format 1 come back bit for bit; several clocks against closed forms."""
 
 import tempfile
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -44,12 +45,31 @@ def same(one, two):
     assert (one.units, one.name, one.meaning) == (two.units, two.name, two.meaning)
 
 
+@settings(max_examples=60)
+@given(records())
+def test_pandas_and_back(record):
+    same(record, rl.Record.from_pandas(record.to_pandas()))
+
+
 @settings(max_examples=30)
 @given(records())
 def test_format_1_and_back(record):
     with tempfile.TemporaryDirectory() as folder:
         rl.save(path := Path(folder) / "r.h5", record)
         same(record, rl.Record.read(path, isolate=False))
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.integers(1, 10**6), min_size=1, max_size=20), st.sampled_from(["s", "ms", "us", "ns"]), st.booleans()
+)
+def test_durations_and_dates_are_seconds(steps, unit, dates):
+    stamps = np.concatenate([[0], np.cumsum(steps)])
+    base = np.datetime64("2026-11-22", "s") if dates else np.timedelta64(0, unit)
+    frame = pd.DataFrame({"q": stamps * 1.0}, index=base + stamps.astype(f"m8[{unit}]"))
+    record = rl.Record.from_pandas(frame)
+    np.testing.assert_array_equal(record.t, stamps / {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit])
+    assert ("t" in record.meaning) == dates
 
 
 # --- several clocks --------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 import robustlab as rl
 from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
+from robustlab.files import records
 from robustlab.report import DRAWINGS
 from robustlab.result import Result, Status, plain
 from robustlab.synthesis import Design
@@ -188,7 +189,7 @@ def test_the_callers_settings_stay(make):
 # --- tables -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n != "Trim"])
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("Record", "Trim")])
 def test_tables_become_frames(name, make):
     shown = make(name)
     if not isinstance(shown, Tabular):
@@ -205,7 +206,7 @@ def test_tables_become_frames(name, make):
 
 
 def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr(records.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)
