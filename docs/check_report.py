@@ -20,7 +20,6 @@ from browser import VIEWS, faults_in_sight, missing, opened, page_in
 
 LARGEST = 3_000_000  # bytes
 DARK, LIGHT = 80, 200  # of 255: the median of a picture on a dark and on a light ground
-SCREEN = 900  # px
 SMALLEST_TEXT = 13  # px, in the table of requirements on a telephone
 ID = re.compile(r"(\d+\. )?\w+([-_.]\w+)+")
 
@@ -30,10 +29,6 @@ UNREADABLE = """smallest => [...document.querySelectorAll('table.requirements td
   return box.left < 0 || box.right > innerWidth || e.scrollWidth > e.clientWidth + 1
     || parseFloat(getComputedStyle(e).fontSize) < smallest;
 }).map(e => e.textContent.trim().slice(0, 60))"""
-
-# Where the story of each discovery ends, from where its section begins.
-STORIES = """() => [...document.querySelectorAll('.story')].map(e =>
-  e.getBoundingClientRect().bottom - e.closest('section').getBoundingClientRect().top)"""
 
 # A word in the top and one in the bottom corner of each figure: where both are on one page, the figure is not cut.
 MARKED = """() => document.querySelectorAll('figure').forEach((figure, k) => {
@@ -90,9 +85,6 @@ def faults_of(report: Path, browser: Any, pictures: Path | None) -> list[str]:
             page.screenshot(path=_named(pictures, report, f"{width}-{scheme}"))
             faults = faults_in_sight(page, "body")
             faults += [f"cannot be read: {cell}" for cell in page.evaluate(UNREADABLE, SMALLEST_TEXT)]
-            if width >= SCREEN:
-                ends = page.evaluate(STORIES)
-                faults += [f"a story needs {end:.0f} px, a screen has {SCREEN}" for end in ends if end > SCREEN]
             faults += _brightness_of_pictures(page, scheme)
             faults += faults_in_sight(page, "body") + said
             found += [where + fault for fault in faults]

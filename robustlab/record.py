@@ -164,7 +164,7 @@ class Record(Displayable, Traced):
             this sample time, or to the coarsest of theirs: inputs held, outputs interpolated; see ``meaning["t"]``.
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
-            `robustlab.files.records.RecordOptions`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
+            `robustlab.files.records.read_record`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
 
         Returns
         -------
@@ -176,11 +176,9 @@ class Record(Displayable, Traced):
         InputError
             Missing signals, columns that are no numbers, no times, missing samples.
         """
-        from robustlab.files.records import RecordOptions, read_record
+        from robustlab.files.records import read_record
 
-        reading = {name: options.pop(name) for name in ("limits", "isolate") if name in options}
-        wanted = RecordOptions(group, inputs, outputs, dt, **options)
-        return cls(**read_record(path, wanted, **reading))
+        return cls(**read_record(path, group, inputs=inputs, outputs=outputs, dt=dt, **options))
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the record as a data frame of pandas (extra ``frames``).

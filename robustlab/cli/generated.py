@@ -311,7 +311,7 @@ def provenance_of(
 
 def _draws(declared: Operation) -> bool:
     """Return whether the results have pictures, by the class' name, without loading it."""
-    from robustlab.report.drawing_table import DRAWINGS
+    from robustlab.report.drawings import DRAWINGS
 
     return declared.result.rpartition(".")[2] in DRAWINGS
 

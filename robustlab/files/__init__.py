@@ -11,6 +11,6 @@ __all__, __getattr__ = lazily(
         "hdf5": "read_tree write_tree",
         "tree": "Dataset KINDS Tree Unread content_sha256 link_name signal_name stamp",
         "atomic": "atomic_write",
-        "records": "Channel RecordOptions Source choose",
+        "records": "Channel Source choose",
     },
 )

@@ -17,7 +17,7 @@ from __future__ import annotations
 import importlib.util
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,31 +67,6 @@ TOO_LATE = 1e11  # s; some 3000 years. Larger times are in smaller units since 1
 SAME_RATE = 1e-6  # relative difference of a given sample time from the time base; a larger one is reported
 
 
-@dataclass(frozen=True)
-class RecordOptions:
-    """The signals to read from a file, and their interpretation."""
-
-    group: str | None = None  # HDF5 group or MATLAB struct with the signals
-    # inputs, outputs: names of signals; `"u=SIGNAL"` renames SIGNAL to u. With neither given, all signals are outputs
-    # (but of a format 1 record). With inputs only, all others are outputs.
-    inputs: Sequence[str] | None = None
-    outputs: Sequence[str] | None = None
-    # Sample time in s; overrides the file's. Without it and without a clock, the attribute `Ts` (or `dt`, in s, or `fs`
-    # in Hz) of the signals, else of their group, else of the file is used. Signals of several time bases are resampled
-    # to this sample time, or to the coarsest of theirs.
-    dt: float | None = None
-    # Name of the signal with the times; `t` or `time` by default. A unit of ms, us, ns or min is converted to s.
-    clock: str | None = None
-    # Name -> unit of the numbers in the file. They are converted to the SI unit of the same kind (deg to rad, rpm to
-    # rad/s, mm to m); a unit unknown to `robustlab.units`, and other signals, keep numbers and unit of the file.
-    units: Mapping[str, str] | None = None
-    # delimiter, decimal: for text files; see `robustlab.files.text_table.read_table`
-    delimiter: str | None = None
-    decimal: str = "."
-    allow_gaps: bool = False  # accept a clock with missing samples
-    no_verify: bool = False  # accept a format 1 record whose content hash does not match
-
-
 @dataclass
 class Channel:
     """Samples of the file; ``clock`` is a key of `Source.clocks`, or empty for the source's own."""
@@ -135,22 +110,34 @@ def one_of(word: str, names: Sequence[str]) -> str:
 
 
 def read_record(
-    path: str | Path, options: RecordOptions, limits: Limits | None = None, isolate: bool = True
+    path: str | Path,
+    group: str | None = None,
+    *,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    no_verify: bool = False,
+    limits: Limits | None = None,
+    isolate: bool = True,
+    **choice: Any,
 ) -> dict[str, Any]:
-    """Read one record as keyword arguments of `robustlab.record.Record`."""
-    where, group = str(path), options.group
+    """Read one record as keyword arguments of `robustlab.record.Record`.
+
+    ``group``: HDF5 group or MATLAB struct with the signals; ``delimiter``, ``decimal``: of text files; ``no_verify``:
+    accept a format 1 record whose content hash does not match; ``choice``: of `choose`.
+    """
+    where = str(path)
     if content_of(path, limits) == "text":
         if group:
             raise InputError(where, f"group {group!r} of a text file", "no group: text files have none")
-        table = read_table(path, options.delimiter, options.decimal, limits, isolate)
+        table = read_table(path, delimiter, decimal, limits, isolate)
         columns = zip(table.names, table.units, table.values.T, strict=True)
         channels = {name: Channel(np.array(values), unit) for name, unit, values in columns}
-        return choose(Source(where, Path(path).stem, "", channels), options)
+        return choose(Source(where, Path(path).stem, "", channels), **choice)
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
         if group:
             raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
-        kind, remarks = check_header(tree, options.no_verify)
+        kind, remarks = check_header(tree, no_verify)
         if kind != "record":
             raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
         for text in remarks:
@@ -161,8 +148,9 @@ def read_record(
         hint = did_you_mean(group or "", known)
         raise InputError(where, f"missing group /{group}", one_of("one of", known), hint)
     if set(SIDES) & set(node.groups):
-        return choose(_stored(node, where), replace(options, allow_gaps=True))
-    return choose(_of_tree(path, tree, node, group), options)
+        choice["allow_gaps"] = True
+        return choose(_stored(node, where), **choice)
+    return choose(_of_tree(path, tree, node, group), **choice)
 
 
 def encode_record(tree: Tree, record: Any) -> None:
@@ -178,7 +166,7 @@ def encode_record(tree: Tree, record: Any) -> None:
 
 def decode_record(node: Tree, where: str) -> dict[str, Any]:
     """Invert `encode_record`."""
-    return choose(_stored(node, where), RecordOptions(allow_gaps=True))
+    return choose(_stored(node, where), allow_gaps=True)
 
 
 def _stored(node: Tree, where: str) -> Source:
@@ -313,17 +301,30 @@ def _text(node: Tree, name: str) -> str:
 # --- choosing --------------------------------------------------------------------------------------------------------
 
 
-def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
-    """Return the keyword arguments of a record from a file's or table's channels."""
-    dt, units = options.dt, dict(options.units or {})
-    known = list(source.channels)
+def choose(
+    source: Source,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    dt: float | None = None,
+    clock: str | None = None,
+    units: Mapping[str, str] | None = None,
+    allow_gaps: bool = False,
+) -> dict[str, Any]:
+    """Return the keyword arguments of a record from a file's channels.
+
+    ``"u=SIGNAL"`` renames SIGNAL to u. With neither inputs nor outputs, all are outputs (but of a format 1 record);
+    with inputs only, all others are. ``dt`` overrides the file's times; without it and without a clock, ``Ts`` (or
+    ``dt``, in s, or ``fs`` in Hz) of the signals, else of their group, else of the file is used. Signals of several
+    time bases are resampled to it, or to the coarsest of theirs. Units known to `robustlab.units` are converted to SI.
+    """
+    units, known = dict(units or {}), list(source.channels)
     # With dt given the file's times are not used, and a column of that name is no signal.
-    clock = options.clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
+    clock = clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
     stated = source.inputs or source.outputs
-    alone = options.inputs is None and options.outputs is None
-    ins = _named(source.inputs if options.inputs is None else options.inputs, known)
-    outs = _named(source.outputs if alone else options.outputs, known)
-    if options.outputs is None and not (alone and stated):
+    alone = inputs is None and outputs is None
+    ins = _named(source.inputs if inputs is None else inputs, known)
+    outs = _named(source.outputs if alone else outputs, known)
+    if outputs is None and not (alone and stated):
         # Those of the source's own time base, or without one all logs.
         own, logged = ([n for n, c in source.channels.items() if bool(c.clock) is log] for log in (False, True))
         usual = own if not logged or clock in own or (own and (dt or source.dt)) else logged
@@ -348,25 +349,25 @@ def choose(source: Source, options: RecordOptions) -> dict[str, Any]:
     order = dict.fromkeys(source.channels[signal].clock for signal in (*outs.values(), *ins.values()))
     first, *others = (source.clocks.get(key) for key in order)
     if not all(first is not None and t is not None and np.array_equal(t, first) for t in others):
-        t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, options)
+        t, arrays = _on_one_clock(source, arrays, set(ins.values()), list(order), clock, dt, allow_gaps)
     else:
         t = _times(source, arrays, dt, clock)
-        if not options.allow_gaps:
+        if not allow_gaps:
             _refuse_gaps(source.where, "t", t)
     meaning = {name: source.channels[signal].meaning for name, signal in signals.items()}
     meaning = {name: text for name, text in {"t": "\n".join(source.notes), **meaning}.items() if text}
     unit_of = {name: source.channels[signal].unit for name, signal in signals.items()}
-    inputs, outputs = ({name: arrays[signal] for name, signal in side.items()} for side in (ins, outs))
+    driven, seen = ({name: arrays[signal] for name, signal in side.items()} for side in (ins, outs))
     for name, unit in units.items():
-        side = inputs if name in inputs else outputs
+        side = driven if name in driven else seen
         if name not in side:
-            names = [*inputs, *outputs]
+            names = [*driven, *seen]
             hint = did_you_mean(name, names)
             raise InputError(source.where, f"a unit for {name!r}", one_of("one of", names), hint)
         _agree(source.where, name, unit_of[name], unit)
         factor, unit_of[name] = factor_to_si(unit)
         side[name] = side[name] * factor
-    return {"t": t, "inputs": inputs, "outputs": outputs, "units": unit_of, "name": source.name, "meaning": meaning}
+    return {"t": t, "inputs": driven, "outputs": seen, "units": unit_of, "name": source.name, "meaning": meaning}
 
 
 def _named(texts: Sequence[str] | None, known: Collection[str]) -> dict[str, str]:
@@ -414,7 +415,13 @@ def _numbers(source: Source, name: str) -> Array:
 
 
 def _on_one_clock(
-    source: Source, arrays: dict[str, Array], ins: set[str], keys: list[str], clock: str | None, options: RecordOptions
+    source: Source,
+    arrays: dict[str, Array],
+    ins: set[str],
+    keys: list[str],
+    clock: str | None,
+    dt: float | None,
+    allow_gaps: bool,
 ) -> tuple[Array, dict[str, Array]]:
     """Resample signals of several time bases to one, inputs held, outputs interpolated; describe it in the notes."""
     clocks: dict[str, Array] = {}
@@ -429,12 +436,12 @@ def _on_one_clock(
             k = int(np.argmax(steps <= 0)) + 1
             word = "repeats the stamp before it" if steps[k - 1] == 0 else "runs backwards"
             raise InputError(f"{source.where}: {label}[{k}]", f"{t[k]:.9g} s {word}", "strictly increasing times")
-        if not options.allow_gaps:
+        if not allow_gaps:
             _refuse_gaps(source.where, label, t)
-    t, coarse = common_clock(source.where, clocks, options.dt)
+    t, coarse = common_clock(source.where, clocks, dt)
     step = float(np.median(np.diff(t)))
     found: dict[str, Array] = {}
-    follows = f"that of {coarse or clock}" if options.dt is None else "as given"
+    follows = f"that of {coarse or clock}" if dt is None else "as given"
     span = f"{t[0]:.6g} s to {t[-1]:.6g} s"
     source.notes.append(f"{len(keys)} clocks brought on one of {1 / step:.6g} Hz ({follows}), {span}")
     for key in keys:
@@ -595,7 +602,7 @@ def keywords_of_frame(
         hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
         raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
     # Gaps are allowed; `check_record` reports them.
-    return choose(source, RecordOptions(None, inputs, outputs, units=units, allow_gaps=True))
+    return choose(source, inputs, outputs, units=units, allow_gaps=True)
 
 
 def _values(column: Any) -> tuple[AnyArray | Unread, str]:

@@ -133,27 +133,17 @@ FOREIGN: dict[str, tuple[str, str]] = {
     ".npz": (_CODE, "d = numpy.load({file!r}); rl.save({made!r}, rl.Record(d['t'], {{'u': d['u']}}, {{'y': d['y']}}))"),
     ".npy": (_CODE, "numpy.savetxt({made!r}, numpy.load({file!r}), delimiter=',', header='t,u,y', comments='')"),
     **dict.fromkeys((".pkl", ".pickle"), (f"{_CODE}; open files of your own alone", _TABLE.format("pickle"))),
-    ".joblib": (f"{_CODE}; open files of your own alone", "import joblib; joblib.load({file!r}).to_csv({made!r})"),
     **dict.fromkeys(
         (".yaml", ".yml"),
         ("refused: YAML tags can carry code, and it reads 1e-3 as text",
          "d = yaml.safe_load(open({file!r})); rl.save({made!r}, rl.ss(d['A'], d['B'], d['C'], d['D']))"),
     ),
     **dict.fromkeys((".xlsx", ".xlsm", ".xls", ".ods"), ("not read here: a spreadsheet", _TABLE.format("excel"))),
-    **dict.fromkeys((".feather", ".arrow"), ("not read here: a Feather file", _TABLE.format("feather"))),
     ".parquet": ("not read here: a Parquet file", _TABLE.format("parquet")),
     **dict.fromkeys(
         (".slx", ".mdl"),
         ("not read here: a Simulink model",
          "[A, B, C, D] = linmod('{stem}'); save('{stem}.mat', 'A', 'B', 'C', 'D', '-v7')  % in MATLAB"),
-    ),
-    ".mcap": ("not read here: a ROS 2 bag", "read_ros2_messages of the package mcap_ros2, numpy.savetxt({made!r})"),
-    ".tdms": ("not read here: a LabVIEW file",
-              "from nptdms import TdmsFile; TdmsFile.read({file!r}).as_dataframe().to_csv({made!r})"),
-    **dict.fromkeys(
-        (".mf4", ".mdf"),
-        ("not read here: an MDF file",
-         "from asammdf import MDF; MDF({file!r}).to_dataframe().to_csv({made!r}, index_label='t')"),
     ),
 }  # fmt: skip
 

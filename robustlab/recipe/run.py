@@ -199,8 +199,8 @@ def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str
             entry = _entry(
                 name, step, status=status, trustworthy=outcome.status is None or outcome.status.trustworthy,
                 summary=outcome.summary, numbers={**plain(outcome.numbers), "status": status},
-                facts=[vars(fact) for fact in outcome.facts], story=[vars(fact) for fact in outcome.story],
-                notes=list(outcome.notes), text=outcome.text, figures=figures,
+                facts=[vars(fact) for fact in outcome.facts], notes=list(outcome.notes), text=outcome.text,
+                figures=figures,
             )  # fmt: skip
         yield {**entry, "seconds": round(time.monotonic() - begun, 3)}
 
@@ -208,8 +208,8 @@ def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str
 def _entry(name: str, step: Step, **more: Any) -> dict[str, Any]:
     """Return the entry of a step; without further keys that of a step that gave nothing."""
     empty: dict[str, Any] = {
-        "status": NOT_RUN, "trustworthy": False, "summary": "", "error": "", "numbers": {}, "facts": [], "story": [],
-        "notes": [], "text": "", "figures": [], "seconds": 0.0,
+        "status": NOT_RUN, "trustworthy": False, "summary": "", "error": "", "numbers": {}, "facts": [], "notes": [],
+        "text": "", "figures": [], "seconds": 0.0,
     }  # fmt: skip
     return {"name": name, "do": step.kind, "title": step.title, **empty, **more}
 

@@ -7,8 +7,7 @@ __all__, __getattr__ = lazily(
     {
         "style": "COLOURS house_style logarithmic new_figure save_figure",
         "html": "in_words junit_xml render verdict",
-        "drawings": "drawings_of pictures_of",
-        "drawing_table": "DRAWINGS",
+        "drawings": "DRAWINGS drawings_of pictures_of",
         "robustness_figures": "distribution_figure influence_figure mu_figure response_figure",
         "set_figures": "cloud_figure weight_figure",
         "discovery": "write_page",

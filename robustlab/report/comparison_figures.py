@@ -1,4 +1,4 @@
-"""Figures of a comparison: error by condition, over time, speed and frequency; residual tests."""
+"""Figures of a comparison: error by condition and frequency, over time and over speed."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
-from numpy.typing import NDArray
 
 from robustlab.arrays import Array
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.report import style
 
-MOST_INPUTS = 3  # side by side
-BINS_PER_DECADE = 30  # densities are drawn as their means over such bins of frequency
-DECADES = 12  # shown below the largest density
 FREE, WINDOWED = style.WORST, style.NOMINAL
 FREE_RUN: dict[str, Any] = {"color": FREE, "ls": style.DASHED, "label": "simulated, free run"}
 
@@ -161,73 +156,3 @@ def _bars(axes: Axes, bins: tuple[Bin, ...]) -> None:
     style.zero_line(axes)
     style.headroom(axes, above=0.22)
     axes.legend(loc="upper center", ncols=3, columnspacing=1.0, handletextpad=0.3)
-
-
-@style.house_style()
-def spectrum_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Spectral densities of recorded output, free run and error; below, the largest coherences of inputs with it."""
-    output = style.chosen(list(comparison.frequency), output, "output")
-    s, unit = comparison.frequency[output], comparison.outputs[output].unit or "unit"
-    f = s.frequency[1:]  # without frequency 0
-    figure, (above, below) = style.new_figure(2, 1, width=7.6, height=2.7, sharex=True)
-    curves: list[tuple[Array, dict[str, Any]]] = [
-        (s.measured, {"color": style.MEASURED, "label": "record"}),
-        (s.simulated, FREE_RUN),
-        (s.error, {"color": WINDOWED, "label": "error of the free run"}),
-    ]
-    for density, how in curves:
-        if density[1:].any():
-            above.loglog(*_smoothed(f, density[1:]), lw=1.3, **how)
-    top = max(float(density[1:].max()) for density in (s.measured, s.simulated, s.error))
-    above.set(ylabel=f"density [{style.plain_label(unit)}²/Hz]", title="where in frequency")
-    if top > 0:
-        above.set_ylim(bottom=max(above.get_ylim()[0], top * 10.0**-DECADES))
-        above.legend(loc="lower left", ncols=1)
-        style.logarithmic(above.yaxis)
-    most = sorted(s.coherence, key=lambda name: -float(s.coherence[name].mean()))[:MOST_INPUTS]
-    for name, colour in zip(most, (style.NOMINAL, style.GOOD, style.WORST), strict=False):
-        label = f"{style.plain_label(name)} with the error (mean over narrow bands)"
-        below.semilogx(*_smoothed(f, s.coherence[name][1:]), color=colour, lw=1.2, label=label)
-    level: dict[str, Any] = {"color": style.LIMIT, "ls": (0, (4, 2)), "label": "99 % of independent signals lie below"}
-    below.axhline(s.coherence_level, lw=1.2, **level)
-    below.set(ylim=(0.0, 1.3), yticks=[0.0, 0.5, 1.0], ylabel="coherence", xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
-    below.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    below.legend(loc="upper left", ncols=2)
-    return figure
-
-
-def _smoothed(f: Array, values: Array) -> tuple[Array, Array]:
-    """Return means over bins of equal width on a logarithmic axis."""
-    index = np.floor(BINS_PER_DECADE * np.log10(f / f[0])).astype(int)
-    count = np.bincount(index)
-    filled = count > 0
-    means = [np.bincount(index, weights=x)[filled] / count[filled] for x in (f, values)]
-    return means[0], means[1]
-
-
-@style.house_style()
-def residual_figure(comparison: Comparison, output: str | None = None) -> Figure:
-    """Autocorrelation of the recursive residual and its largest correlations with inputs, with 99 % bands."""
-    output = style.chosen(list(comparison.residual), output, "output")
-    tests, name = comparison.residual[output], style.plain_label(output)
-    most = sorted(tests.inputs, key=lambda name: -tests.inputs[name].explained_share)[:MOST_INPUTS]
-    drawn = {name: test for name, test in tests.inputs.items() if name in most}
-    figure, axes = style.new_figure(1, 1 + len(drawn), width=4.4 * (1 + len(drawn)), height=3.2)
-    w = tests.whiteness
-    _stems(axes[0], w.lags, w.correlation, w.band)
-    bottom = min(-0.1, 1.1 * float(w.correlation.min()))
-    axes[0].set(title=f"residual of {name} with itself", ylabel="correlation", ylim=(bottom, 1.05))
-    for panel, (u, test) in zip(axes[1:], drawn.items(), strict=True):
-        _stems(panel, test.lags, test.correlation, test.band)
-        size = 1.15 * max(test.band, float(np.abs(test.correlation).max()))
-        panel.set(title=f"residual of {name} with input {style.plain_label(u)}", ylim=(-size, size))
-    style.legend_below(figure, axes[:1], 1)
-    return figure
-
-
-def _stems(axes: Axes, lags: NDArray[np.int_], values: Array, band: float) -> None:
-    axes.axhspan(-band, band, color=style.BAND, alpha=0.3, lw=0, label="99 % band if the model were right")
-    axes.vlines(lags, 0.0, values, color=style.NOMINAL, lw=1.1)
-    axes.plot(lags, values, "o", color=style.NOMINAL, ms=2.6)
-    axes.set_xlabel("lag [samples]")
-    style.zero_line(axes)

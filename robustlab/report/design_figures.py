@@ -9,15 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis import robust_performance
 from robustlab.report import style
-from robustlab.report.robustness_figures import mu_figure
 from robustlab.synthesis.specifications.loop_functions import frequencies, loop_functions
-from robustlab.uncertainty.lft import UncertainModel
 
 if TYPE_CHECKING:
     from robustlab.analysis.performance import PerformanceComparison
@@ -145,33 +141,6 @@ def performance_picture(found: PerformanceComparison) -> Figure:
 
 
 @style.house_style()
-def history_picture(design: Any) -> Figure:
-    """Iterates of a D-K search: mu at single frequencies (NaN: not computed), proved bound, order of K."""
-    mu, proved, orders, stages = (
-        np.array([getattr(s, name) for s in design.history]) for name in ("mu", "gamma", "order", "stage")
-    )
-    steps, best = np.arange(1, len(proved) + 1), int(np.argmin(proved))
-    figure, (level, order) = style.new_figure(2, 1, width=8.0, height=2.2, sharex=True)
-    colours = (style.SAMPLE, style.NOMINAL, style.GOOD, style.LIMIT)
-    for stage, colour in zip(dict.fromkeys(stages.tolist()), colours, strict=False):
-        mine = stages == stage
-        label = f"{style.plain_label(stage)}: proved"
-        level.plot(steps[mine], proved[mine], "o", color=colour, ms=5, label=label)
-    level.plot(steps, proved, color=style.SAMPLE, lw=0.8, zorder=1)
-    level.plot(steps, mu, "x", color=style.MEASURED, ms=5, label="μ at single frequencies")
-    level.plot(steps[best], proved[best], "o", ms=11, mfc="none", color=style.WORST, label="smallest")
-    level.axhline(1.0, color=style.LIMIT, ls=style.DASHED, lw=1.1, label="1: robust performance")
-    style.logarithmic(level.yaxis)
-    finite = [1.0, *proved[np.isfinite(proved)]]
-    level.set(ylim=(0.7 * min(finite), 1.5 * max(finite)), ylabel="bound of μ")
-    level.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    order.step(steps, orders, where="mid", color=style.NOMINAL)
-    order.set(ylabel="order of K", xlabel="iterate", ylim=(0, 1.15 * max(1, *orders)))
-    order.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return figure
-
-
-@style.house_style()
 def runs_picture(found: ControlledRuns) -> Figure:
     """Several runs over time, one panel per signal; a limit far from all curves is in the title."""
     figure, axes_list = style.new_figure(len(found.panels), 1, width=8.6, height=2.2, sharex=True)
@@ -217,10 +186,3 @@ def gangs_picture(loop: LoopFunctions, around: float | None = None) -> Figure:
         allowed = proved / loop.gamma if proved is not None and np.isfinite(proved).all() else None
         panels[heading] = loop.gain(name, omega), allowed
     return functions_figure(omega, panels, loop.gamma, "closed loop")
-
-
-def mu_picture(design: Any) -> Figure:
-    """Bounds of mu of a D-K design over frequency, proved on the whole axis again from its closed loop."""
-    loop = UncertainModel(design.closed_loop, [b for b in design.blocks if b.name != "performance"])
-    omega = frequencies(design.closed_loop, 160)
-    return mu_figure(robust_performance(loop, omega=omega, accuracy=1e-3, tolerance=float("inf")))

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.missing_effects.discovery_result import Discovery, Gap, chance, overall, with_interval
+from robustlab.identification.missing_effects.discovery_result import Discovery, Gap
 from robustlab.identification.missing_effects.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report import style
@@ -24,8 +24,6 @@ from robustlab.result import plain
 
 MODELS = {"nominal": style.WORST, "refitted": style.SAMPLE, "updated": style.NOMINAL}
 DASHES: dict[str, Any] = {"nominal": (0, (4, 1.5)), "refitted": (0, (1, 1)), "updated": "-"}
-STRETCH = 4  # windows shown of a held-out stretch
-SHOWN = 9  # sets of effects
 BEYOND = 0.6  # of the measured range, drawn above and below it
 ORDER = ("speed", "position", "time", "input")  # of the panels
 ASIDE = 0.03  # share of the bands' ends outside the vertical axis on either side
@@ -79,26 +77,6 @@ def free_run_figure(discovery: Discovery, output: str | None = None) -> Figure:
     return _signals_and_errors(np.asarray(run["t"]), signals, d.free_run[output], title)
 
 
-def stretch_figure(discovery: Discovery, output: str | None = None) -> Figure:
-    """Some held-out windows around the one with the largest error of the nominal model: signals and errors."""
-    d = discovery
-    output = style.chosen(list(d.series.get("outputs", {})), output, "output")
-    t = np.asarray(d.series["t"], dtype=float)
-    signals = {key: np.asarray(values, dtype=float) for key, values in d.series["outputs"][output].items()}
-    dt = float(np.median(np.diff(t))) if len(t) > 1 else d.window
-    cuts = np.arange(0, len(t), max(1, round(d.window / dt)))[1:]
-    miss = signals["measured"] - signals["nominal"]
-    squares = [part.mean() for part in np.split(np.where(np.isfinite(miss), miss, 0.0) ** 2, cuts)]
-    first = min(max(int(np.argmax(squares)) - STRETCH // 2, 0), max(len(squares) - STRETCH, 0))
-
-    def broken(values: Array) -> Array:
-        """Return the values with a gap after each window."""
-        return np.concatenate([np.append(part, np.nan) for part in np.split(values, cuts)[first : first + STRETCH]])
-
-    title = f"{output}, held out: each window starts from its best fitted state"
-    return _signals_and_errors(broken(t), {k: broken(v) for k, v in signals.items()}, d.gaps[output], title)
-
-
 @style.house_style()
 def _signals_and_errors(x: Array, signals: dict[str, Array], gap: Gap, title: str) -> Figure:
     """Draw record and models over time, the errors of all three, and that of the updated one on its own scale."""
@@ -132,31 +110,6 @@ def _keep_near(axes: Axes, *shown: Array) -> None:
     room = BEYOND * (high - low) or 1.0
     old = axes.get_ylim()
     axes.set_ylim(max(old[0], low - room), min(old[1], high + room))
-
-
-@style.house_style()
-def posterior_figure(discovery: Discovery) -> Figure:
-    """Bars of the probability of the best sets of effects, with their log evidence relative to the first."""
-    if not discovery.posterior:
-        raise InputError("plot('posterior')", "no sets of effects were weighed", "a finished discovery")
-    shown = discovery.posterior[:SHOWN]
-    figure, (axes,) = style.new_figure(1, 1, width=7.8, height=1.0 + 0.28 * len(shown))
-    names = []
-    for row, entry in enumerate(shown):
-        colour = style.NOMINAL if row < len(discovery.collection) else style.SAMPLE
-        axes.barh(row, 100 * entry.probability, color=colour, height=0.62)
-        behind = f", log evidence {entry.evidence:.3g}" if row else ""
-        apart = f", {entry.distance:.2g} σ apart" if row and math.isfinite(entry.distance) else ""
-        text = f"{chance(entry.probability)}{behind}{apart}".replace("-", "−")
-        at = (100 * entry.probability, row)
-        axes.annotate(text, at, (4, 0), textcoords="offset points", va="center", fontsize=8)
-        unnamed = [f"unnamed {entry.unnamed}"] if entry.unnamed else []
-        name = " + ".join([*entry.effects, *unnamed]) or "nothing missing"
-        names.append(fill(style.plain_label(name), 44))
-    axes.set_yticks(range(len(shown)), names)
-    axes.set(ylim=(len(shown) - 0.4, -0.6), xlim=(0.0, 145.0), xticks=[0, 25, 50, 75, 100], xlabel="probability [%]")
-    axes.grid(visible=False, axis="y")
-    return figure
 
 
 @style.house_style()
@@ -244,40 +197,6 @@ MEANINGS = {
 }
 
 
-def story(d: Discovery) -> list[tuple[str, str, str]]:
-    """Return label, value and remark of place, effect, probability, and error before and after."""
-    places = list(dict.fromkeys(e.site for e in d.effects))
-    open_forms = [k for k in d.kinds if not k.settled]
-    members = {place for k in open_forms for place in k.members}
-    own = [e for e in d.effects if f"{e.name}@{e.site}" not in members]
-    what = [(k.title, "; ".join(f"{v.name} {with_interval(v)}" for v in k.values)) for k in open_forms]
-    what += [(e.title, "; ".join(with_interval(p) for p in e.parameters)) for e in own]
-    of_each = [(k.probability, k.title) for k in open_forms] + [(e.confidence, e.title) for e in own]
-    sure = [f"{chance(p)}{f' {title}' if len(of_each) > 1 else ''}" for p, title in of_each]
-    rivals = ", ".join(dict.fromkeys(r.title for r in d.rivals))
-    doubt = f"not excluded: {rivals}" if rivals else "no rival is left"
-    left = "nothing more is seen" if d.complete else "something else remains"
-    none = "no effect of the catalogue" if d.verdict == "unknown" else "nothing that these records show"
-    run = ""
-    if d.free_run:
-        before, after = (overall(d.free_run, model) for model in ("nominal", "updated"))
-        run = f"; in one free run {_share(before)} → {_share(after)}"
-    return [
-        ("Where", ", ".join(places) or "no place", f"in {d.plant}"),
-        ("What is missing", ", ".join(t for t, _ in what) or none, "; ".join(v for _, v in what if v)),
-        ("How sure", "; ".join(sure) or d.verdict, f"{doubt}; {left}"),
-        (
-            "Gap before → after",
-            f"{_share(d.gap_before)} → {_share(d.gap_after)}",
-            f"rms error on held-out data, share of the range; refitted without it {_share(d.gap_refitted)}{run}",
-        ),
-    ]
-
-
-def _share(percent: float) -> str:
-    return f"{percent:.2g} %" if math.isfinite(percent) and percent < 99.5 else f"{percent:.0f} %"
-
-
 def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]:
     """Write ``folder/figures`` and ``folder/report.html``; return the paths, the page last."""
     pictures = dict(pictures_of(d))
@@ -293,7 +212,6 @@ def write_page(d: Discovery, folder: Path, provenance: Provenance) -> list[Path]
                 "error": "", "numbers": plain(d.to_json()), "text": d.tables(),
                 "facts": [{"label": label, "value": value, "source": ""} for label, value in d.facts()],
                 "notes": [f.message for f in d.findings],
-                "story": [dict(zip(("label", "value", "source"), part, strict=True)) for part in story(d)],
                 "figures": [{"stem": name, "caption": p.caption} for name, p in pictures.items()],
             }
         ],

@@ -6,10 +6,11 @@ the envelope of all members (figures 11.5-11.20 of the thesis).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
@@ -82,23 +83,23 @@ def overbound_figure(fit: Overbound, errors: Sequence[Array] | Array = (), title
 def cloud_figure(cover: Cover) -> Figure:
     """Every model as a point in the range of each parameter."""
     names = [b.name for b in cover.model.blocks]
-    deltas = np.array([[float(d[name]) for name in names[:SHOWN]] for d in cover.deltas])
-    figure, (axes,) = style.new_figure(width=6.4, height=1.2 + 0.27 * max(3, deltas.shape[1]))
-    for k, column in enumerate(deltas.T):
-        axes.plot([-1, 1], [k, k], color=style.BAND, lw=5, alpha=0.35, solid_capstyle="butt")
-        axes.plot(column, np.full(len(column), k), "o", ms=3.5, color=style.NOMINAL, alpha=0.7)
+    figure, axes = _in_ranges({n: [float(d[n]) for d in cover.deltas] for n in names[:SHOWN]}, style.NOMINAL)
     more = f", {SHOWN} of {len(names)} shown" if len(names) > SHOWN else ""
     title = f"{len(names)} parameter{'s' * (len(names) > 1)}{more}"
-    _places(axes, names[:SHOWN])
     axes.set(xlim=(-1.12, 1.12), xlabel="normalised value", title=title)
     return figure
 
 
-def _places(axes: Any, names: Sequence[str]) -> None:
-    """Set a row for each parameter over its range from -1 to 1."""
-    axes.set_yticks(range(len(names)), [style.plain_label(name[:40]) for name in names])
-    axes.set(ylim=(len(names) - 0.4, -0.6), xticks=[-1, -0.5, 0, 0.5, 1])
+def _in_ranges(points: Mapping[str, Sequence[float]], colour: str) -> tuple[Figure, Axes]:
+    """Draw points of each parameter in its range from -1 to 1, a row each."""
+    figure, (axes,) = style.new_figure(height=1.2 + 0.27 * max(3, len(points)))
+    for row, values in enumerate(points.values()):
+        axes.plot([-1, 1], [row, row], color=style.BAND, lw=5, alpha=0.35, solid_capstyle="butt")
+        axes.plot(values, np.full(len(values), row), "o", ms=4, color=colour, alpha=0.7)
+    axes.set_yticks(range(len(points)), [style.plain_label(name[:40]) for name in points])
+    axes.set(ylim=(len(points) - 0.4, -0.6), xticks=[-1, -0.5, 0, 0.5, 1])
     axes.grid(visible=False, axis="y")
+    return figure, axes
 
 
 # --- records and sets -------------------------------------------------------------------------------------------------
@@ -180,16 +181,13 @@ def member_figure(worst: WorstCase | CampaignResult) -> Figure:
     if not scalar:
         raise InputError("plot('delta')", "a member without scalar blocks", "a Delta with scalar values")
     ranked = sorted(scalar, key=lambda name: -abs(scalar[name]))[:SHOWN]
-    figure, (axes,) = style.new_figure(width=7.2, height=1.2 + 0.27 * max(3, len(ranked)))
-    for row, name in enumerate(ranked):
-        size = float(abs(scalar[name])) if np.iscomplexobj(scalar[name]) else float(scalar[name])
-        axes.plot([-1, 1], [row, row], color=style.BAND, lw=6, alpha=0.35, solid_capstyle="butt")
-        axes.plot(size, row, "o", color=style.WORST, ms=6)
+    places = {n: float(abs(scalar[n])) if np.iscomplexobj(scalar[n]) else float(scalar[n]) for n in ranked}
+    figure, axes = _in_ranges({name: [place] for name, place in places.items()}, style.WORST)
+    for row, (name, place) in enumerate(places.items()):
         known = worst.physical.get(name)
-        text = style.plain_label(f"{known[0]:.4g} {known[1]}".rstrip() if known else f"{size:.3g}")
+        text = style.plain_label(f"{known[0]:.4g} {known[1]}".rstrip() if known else f"{place:.3g}")
         axes.annotate(text, (1.08, row), va="center", fontsize=8.5, annotation_clip=False)
     axes.axvline(0.0, color=style.NOMINAL, ls=style.DASHED, lw=1.1)
-    _places(axes, ranked)
     value = worst.value if isinstance(worst, WorstCase) else worst.worst
     title = style.plain_label(f"{worst.metric}: {value:.4g} {worst.unit}".rstrip())
     axes.set(xlim=(-1.05, 1.45), xlabel="place in the range: 0 nominal, -1 and 1 its ends", title=title)

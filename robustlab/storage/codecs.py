@@ -301,9 +301,9 @@ def decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
 
 def record_from(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Record:
     """Return the record in a file without header; see `robustlab.files.records.read_record`."""
-    from robustlab.files.records import RecordOptions, read_record
+    from robustlab.files.records import read_record
 
-    return _record(read_record(path, RecordOptions(group), limits, isolate), str(path))
+    return _record(read_record(path, group, limits=limits, isolate=isolate), str(path))
 
 
 def _record(keywords: dict[str, Any], where: str) -> Record:

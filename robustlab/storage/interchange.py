@@ -327,20 +327,13 @@ def _range(name: str, given: Any) -> Any:
 
     if not isinstance(given, dict):
         return given
-    where = f"parameter {name!r}"
-    unknown = [key for key in given if key not in RANGE]
-    if unknown or "low" not in given or "high" not in given:
-        found = f"key {unknown[0]!r}" if unknown else f"keys {', '.join(given) or 'none'}"
-        hint = did_you_mean(unknown[0], RANGE) if unknown else None
-        raise InputError(where, found, "low and high, and where wanted nominal and unit", hint)
-    numbers = [given[key] for key in ("low", "high", "nominal") if key in given]
-    if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in numbers):
-        raise InputError(where, f"{given!r}", "numbers for low, high and nominal")
-    unit = given.get("unit", "")
-    if not isinstance(unit, str):
-        raise InputError(where, f"unit {unit!r}", "a text")
-    nominal = float(given["nominal"]) if "nominal" in given else None
-    return ParameterRange.between(float(given["low"]), float(given["high"]), nominal, unit)
+    numbers = {key: value for key, value in given.items() if key != "unit"}
+    known = {"low", "high"} <= set(given) <= set(RANGE) and isinstance(given.get("unit", ""), str)
+    if not known or not all(type(value) in (int, float) for value in numbers.values()):
+        expected = "numbers for low and high, and where wanted nominal, and a text for unit"
+        hint = next((did_you_mean(key, RANGE) for key in given if key not in RANGE), None)
+        raise InputError(f"parameter {name!r}", f"{given!r}"[:80], expected, hint)
+    return ParameterRange.between(**{key: float(value) for key, value in numbers.items()}, unit=given.get("unit", ""))
 
 
 def _check_names(key: str, given: Any) -> None:

@@ -43,7 +43,7 @@ PARAMETERS: dict[str, str] = {**dict.fromkeys(TEXTS, "U"), "value": "fi", "toler
 # Further columns of the parameters of a plant with stored equations.
 MORE: dict[str, str] = dict.fromkeys(("sign", "role"), "U")
 MATRICES = ("E", "F", "G", "C", "D")
-BARE = "model"  # name of a plant made of a linear model, whose matrices are stored
+BARE = "model"  # name of a plant made of a linear model, which earlier versions stored by its matrices
 AGREEMENT = 1e-6  # of the stored linear model with the rebuilt plant's, relative to the largest entry
 
 
@@ -79,8 +79,8 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
             for row in ROWS:
                 held.group(name).put(row, getattr(getattr(tapes, name), row))
         put_columns(held.group("places"), PLACE, tapes.places)
-    if own or base.name == BARE:
-        encode_state_space(group.group("base"), _linear(base) if own else _bare_model(base))
+    if own:
+        encode_state_space(group.group("base"), _linear(base))
     for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
         one = tree.group("effects").group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
@@ -109,31 +109,18 @@ def _is_rebuilt(base: Plant) -> bool:
     """Return whether name, options and parameters rebuild the same plant."""
     from robustlab.dynamics import builtin_plant, plant_names
     from robustlab.dynamics.linear_plant import LinearPlant
-    from robustlab.dynamics.ports.port_model import linear_plant_of
 
-    if base.name == BARE and isinstance(base, LinearPlant):
-        again: Any = replace(linear_plant_of(_bare_model(base)), parameters=dict(base.parameters))
-    elif base.name in plant_names():
-        again = builtin_plant(base.name, **_options(base))
-        if list(again.parameters) != list(base.parameters) or type(again) is not type(base):
-            return False
-        again = replace(again, parameters=dict(base.parameters))
-    else:
+    if base.name not in plant_names():
         return False
+    again: Any = builtin_plant(base.name, **_options(base))
+    if list(again.parameters) != list(base.parameters) or type(again) is not type(base):
+        return False
+    again = replace(again, parameters=dict(base.parameters))
     signals = all(getattr(again, kind) == getattr(base, kind) for kind in ("inputs", "outputs", "states"))
     if isinstance(base, LinearPlant):
         pairs = zip(again.matrices(base.values), base.matrices(base.values), strict=True)
         return signals and all(np.array_equal(a, b) for a, b in pairs)
     return signals
-
-
-def _bare_model(base: Any) -> StateSpaceModel:
-    """Return the model from which a bare plant was made, with gains and inertias of 1."""
-    units = {name: 1.0 for name in base.parameters if name.startswith(("gain_", "inertia_"))}
-    e, f, g, c, d = base.matrices({**base.values, **units})
-    return StateSpaceModel(
-        np.linalg.solve(e, f), np.linalg.solve(e, g), c, d, 0.0, base.inputs, base.outputs, base.states
-    )
 
 
 def _linear(obj: Plant, point: Any = None) -> StateSpaceModel:

@@ -14,7 +14,7 @@ from robustlab.identification.data_checks import Finding
 
 TRIED = ("coulomb-friction", "constant-load", "viscous-friction")  # few, for the time of the test
 EXCLUDED = [word for name in catalogue() if name not in TRIED for word in ("--exclude", name)]
-FIGURES = ("force", "gap", "posterior", "run-q", "stretch-q")
+FIGURES = ("force", "gap", "run-q")
 FC = 20.0
 
 

@@ -94,8 +94,6 @@ def test_the_updated_plant_goes_on_through_the_recipe(run):
         "naming-gap",
         "naming-force",
         "naming-run-q",
-        "naming-stretch-q",
-        "naming-posterior",
     ]
     for name in ("naming-plant.h5", "machine.h5"):
         assert [e.effect.id for e in rl.load(result.folder / name).effects] == ["coulomb-friction"]

@@ -150,7 +150,7 @@ def test_every_design_step_on_a_small_problem(tmp_path):
     assert numbers(result, "shape")["gamma"] <= 1.1 * numbers(result, "shape")["gamma_min"] * (1 + 1e-6)
     assert isinstance(rl.load(result.folder / "task.h5"), rl.UncertainModel)
     figures = {f["stem"] for s in result.data["steps"] for f in s["figures"]}
-    assert {"dk-history", "dk-functions", "judge-mu"} <= figures  # of the steps that requirements name
+    assert {"dk-functions", "judge-mu"} <= figures  # of the steps that requirements name
 
 
 def test_h2_of_a_generalised_plant_from_a_file(tmp_path):

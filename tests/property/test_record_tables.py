@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import robustlab as rl
 from robustlab.clocks import summarise_clock
-from robustlab.files import Channel, RecordOptions, Source, choose
+from robustlab.files import Channel, Source, choose
 
 NUMBERS = st.floats(-1e300, 1e300, allow_nan=False)
 CHARACTERS = st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs"))
@@ -90,7 +90,7 @@ def test_lines_stay_lines_and_levels_stay_levels(rng, one, two, dt):
                 "z": Channel(3 + b, clock="b")}  # fmt: skip
     level = channels["u"].values
     source = Source("bench", "bench", "", channels, clocks={"a": a, "b": b})
-    record = rl.Record(**choose(source, RecordOptions(inputs=["u"], outputs=["y", "z"], dt=dt, allow_gaps=True)))
+    record = rl.Record(**choose(source, ["u"], ["y", "z"], dt, allow_gaps=True))
     assert record.is_uniform
     assert record.t[0] >= max(a[0], b[0]) - 1e-8
     assert record.t[-1] <= min(a[-1], b[-1]) + 1e-7

@@ -135,7 +135,6 @@ class Outcome:
     status: rl.Status | None = None  # None for a step that only builds, reads, writes or draws
     notes: tuple[str, ...] = ()  # needed to judge the numbers
     text: str = ""  # details, line by line
-    story: tuple[Fact, ...] = ()  # a handful at most; shown first
 
 
 @dataclass

@@ -10,7 +10,7 @@ from pydantic import Field
 import robustlab as rl
 from robustlab.operations.declaration import InLoop
 from robustlab.operations.vocabulary import Positive, Text
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, step
+from robustlab.recipe.steps.contract import Ahead, Inferred, Outcome, Step, Workspace, facts_of, step
 from robustlab.recipe.steps.generated import BASES, OperationStep
 
 
@@ -80,8 +80,6 @@ class Naming(OperationStep):
         return f"{step}.free_run.{whole[name]}" if name in whole else None
 
     def outcome(self, found: InLoop, work: Workspace) -> Outcome:
-        from robustlab.report.discovery import story
-
         named = found.result
         if named.interrupted:
             raise KeyboardInterrupt  # later steps must not use an incomplete result
@@ -102,10 +100,7 @@ class Naming(OperationStep):
             named.next_experiment.save(work.folder / file)
             work.files.append(file)
             notes.append(f"The signal of the next experiment is in {file}.")
-        return replace(
-            outcome, summary=f"{named.headline()}.", status=status, notes=tuple(notes),
-            story=tuple(Fact(*part) for part in story(named)),
-        )  # fmt: skip
+        return replace(outcome, summary=f"{named.headline()}.", status=status, notes=tuple(notes))
 
 
 class Comparing(OperationStep):
