@@ -1,10 +1,10 @@
 r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, one Hamiltonian level test proves it.
 
 ``sigma_max(G(jw)) = g`` for some w if and only if the Hamiltonian H(g) has the eigenvalue jw. The imaginary part of
-every eigenvalue counts as a candidate crossing, however large its real part, once of those far from the axis and their
-mirror images, and ``sigma_max`` is evaluated at all of them and between each two: if none exceeds the level, it is an
-upper bound; else the largest is the next lower bound, which also finds the peaks that AB13DD misses. The level is as
-far above the peak as rounding requires; if that is too far, ball arithmetic decides.
+every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
+all of them and between each two: if none exceeds the level, it is an upper bound; else the largest is the next lower
+bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires; if that
+is too far, ball arithmetic decides.
 
 References
 ----------
@@ -93,9 +93,6 @@ QUIET, LOSSY = 1e-9, 1e-3
 MARGIN = 10.0
 # Most levels, and frequencies next to poles at which rounding is computed besides the peak.
 LEVELS, NEAR_POLES = 60, 3
-# Shares of an eigenvalue of the Hamiltonian, and of the largest, by which it may lie left of the axis to count with its
-# mirror image.
-MIRRORED, BLUR = 0.1, 1e-6
 # A doubtful bracket, or one wider than the first share, is proved in ball arithmetic up to so many states: 0.1 s.
 WIDE, BALL_STATES = 1e-4, 40
 SHARES = (1e-5, 1e-4, 5e-4, 1e-3)  # of the norm, by which levels in ball arithmetic exceed it
@@ -418,9 +415,6 @@ def crossings(m: StateSpaceModel, level: float, band: Band | None = None) -> Any
     eigenvalues = balanced_eigenvalues(hamiltonian)
     if eigenvalues is None:
         raise NoTrustworthyNumber("hinf_norm", "the Hamiltonian overflows")
-    # H(g) has -conj(p) with each p: of two far from the axis, beyond rounding, one gives the frequency.
-    size = np.abs(eigenvalues)
-    eigenvalues = eigenvalues[np.real(eigenvalues) > -MIRRORED * size - BLUR * size.max(initial=0.0)]
     crossing = np.unique(np.append(np.abs(np.imag(eigenvalues)), 0.0))
     if band is not None:
         crossing = _within(crossing, band)
