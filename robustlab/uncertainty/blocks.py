@@ -162,6 +162,15 @@ class Block:
         """Return whether the block was verified at samples only, as the first word of its origin."""
         return self.origin.startswith(SAMPLED)
 
+    def _no_arithmetic(self, other: object = None) -> Any:
+        """Reject arithmetic: a block is a set, and expressions in parameters are given as text."""
+        hint = 'rl.parametric(A, B, C, D, ranges) takes entries such as "2 * k" or "-k / m"'
+        raise TypeError(f"{type(self).__name__} {self.name!r} is an uncertainty block, no number\nhint: {hint}")
+
+    __neg__ = __pos__ = __abs__ = _no_arithmetic
+    __add__ = __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = _no_arithmetic
+    __truediv__ = __rtruediv__ = __pow__ = __rpow__ = _no_arithmetic
+
     # --- the set -----------------------------------------------------------------------------------------------------
 
     @property

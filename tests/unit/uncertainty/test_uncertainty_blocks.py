@@ -48,3 +48,13 @@ def test_delta_is_piecewise_and_the_member_has_the_parameter_value(delta):
     entries = delta_matrix([block], {"tau": delta})
     np.testing.assert_allclose(entries, (delta if delta >= 0 else 0.5 * delta) * np.eye(2))
     assert delta_values([block], entries)["tau"] == pytest.approx(delta, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    "use",
+    [lambda k: -k, lambda k: 2 * k, lambda k: k / 3, lambda k: 1 + k, lambda k: k**2, lambda k: np.eye(2) * k],
+)
+def test_arithmetic_with_a_block_points_to_expressions(use):
+    for block in (RealScalar("k"), FullBlock("k", 2, 2)):
+        with pytest.raises(TypeError, match=r"'k' is an uncertainty block, no number\nhint: rl\.parametric"):
+            use(block)
