@@ -18,9 +18,9 @@ from robustlab.arrays import Array, Indices
 from robustlab.dynamics.integrator.compilation import compiled
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.rest import PASSES, RANK, STILL, evaluated, newton, trim_conditions
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
-from robustlab.statespace import Signal
+from robustlab.statespace import Signal, real_array
 
 # Name of each operation (CasADi's without OP_); the index is its number on tapes and in files: append new ones.
 OPERATIONS = (
@@ -288,9 +288,15 @@ class SymbolicPlant(PlantAlong):
                 raise InputError(f"{self.name}: {name}", f"shape {np.shape(array)}", f"({n}, {width})")
         points = np.empty((n, tape.n_in))
         points[:, :n_x], points[:, n_x : n_x + n_u] = x, u
-        given = {**self.values, **(values or {})}
-        for k, name in enumerate(self.parameters):
-            points[:, n_x + n_u + k] = given[name]
+        points[:, n_x + n_u :] = list(self.values.values())
+        for name, value in (values or {}).items():
+            place = f"{self.name}: {name}"
+            if name not in self.parameters:
+                raise unknown_name(place, "no such parameter", name, self.parameters)
+            array = real_array(name, value, np.ndim(value), self.name)
+            if array.shape not in ((), (n,)):
+                raise InputError(place, f"shape {array.shape}", f"one value, or {n}: one for each point")
+            points[:, n_x + n_u + list(self.parameters).index(name)] = array
         found = tape(points)
         if not np.isfinite(found).all():
             row, column = (int(k) for k in np.argwhere(~np.isfinite(found))[0])
