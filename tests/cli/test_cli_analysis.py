@@ -91,6 +91,5 @@ def test_probability_of_a_violation(folder):
     assert found["lower"] < found["probability"] < found["upper"] < 0.1
     assert len(list((folder / "f").iterdir())) == 4
     assert rl.load("p.h5").data["violations"] == found["violations"]
-    shown = robustlab("violation-probability", "kf.h5", "--limit", "12", "--probability", "0.05", *drive, code=0).out
-    assert "without a unit" in shown
+    robustlab("violation-probability", "kf.h5", "--limit", "12", "--probability", "0.05", *drive, code=0)
     robustlab("violation-probability", "kf.h5", "--limit", "2 rad/s", "--probability", "0.05", *drive, code=1)

@@ -77,7 +77,7 @@ def test_every_kind_of_metric_step(tmp_path):
         ('[step.s]\ndo = "sample"\nof = "set"\nt_end = 1.0\ninput = { u = 1.0 }\noutputs = ["omeg"]\n', "omeg"),
         (
             '[step.p]\ndo = "violation-probability"\nof = "set"\nmetric = "hinf"\nlimit = 1.0\nunit = "V"\n',
-            "in V, expected no unit",
+            "'1.0 V', expected a number without a unit",
         ),
         ('[step.p]\ndo = "violation-probability"\nof = "set"\nmetric = "hinf"\nlimit = nan\n', "finite"),
         ('[step.c]\ndo = "thesis-case"\ncase = "3"\n', "2a"),

@@ -282,7 +282,6 @@ def test_a_bound_after_branch_and_bound_is_proved_box_by_box():
     assert checked.proved, checked.summary()
     assert [claim.kind for claim in claims_of(found)] == ["mu-upper-boxes", "mu-lower"]
     assert checked.claims[0].bound == pytest.approx(1 / found.upper, rel=2e-6)
-    assert found.upper < found.scaled
     (boxes,) = found.proof
     assert not rl.verify(replace(found, proof=(boxes[1:],))).proved
     assert not rl.verify(replace(found, upper=0.999 * found.lower)).proved
