@@ -146,8 +146,8 @@ def discover(
     Raises
     ------
     InputError
-        Records that do not fit the plant, have other outputs than the first, or are too short; a wrong sign, unit or
-        swapped channel; an unknown effect in ``exclude``.
+        Records that do not fit the plant, have other outputs than the first, or are too short; a wrong sign or
+        unit; an unknown effect in ``exclude``.
     NoTrustworthyNumber
         Records without information: no excitation, dead sensors.
     """
