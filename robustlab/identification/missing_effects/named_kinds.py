@@ -222,16 +222,16 @@ def _of_effect(problem: Problem, fit: Fit, z: Array, k: int, kind: Kind) -> Valu
             q = q - q.mean()
             found["stiffness"] = _over(-float(f @ q), float(q @ q)), f"{force}/{position}" if force else ""
     if isinstance(effect, GroundedEffect):
-        # The coefficient at a joint, or the change of the plant's parameter.
-        value = own.get(effect.symbol, 0.0), unit
-        if candidate.site.kind != "joint":
-            name, factor = next(iter(effect.factors(problem.plant, candidate.site, own).items()))
-            p = problem.plant.parameters[name]
-            value = p.reference * factor - p.value, p.unit
-        found["stiffness" if effect.of == "position" else "viscous"] = value
-    if late := [own[p] for p in (effect.delay, effect.time_constant) if p]:
+        name = "stiffness" if effect.of == "position" else "viscous"
+        if name in kind.quantities and candidate.site.kind == "joint":
+            found[name] = own[effect.symbol], unit
+        elif name in kind.quantities:  # the change of the plant's parameter
+            parameter, factor = next(iter(effect.factors(problem.plant, candidate.site, own).items()))
+            p = problem.plant.parameters[parameter]
+            found[name] = p.reference * factor - p.value, p.unit
+    if "delay" in kind.quantities and (late := [own[p] for p in (effect.delay, effect.time_constant) if p]):
         found["delay"] = sum(late), "s"
-    if effect.scale:
+    if "factor" in kind.quantities and effect.scale:
         s = own[effect.scale]
         found["factor"] = (1.0 / s if effect.id in DIVIDES else s), "1"
     if "amplitude" in kind.quantities:
