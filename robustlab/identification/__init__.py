@@ -25,7 +25,7 @@ __all__, __getattr__ = lazily(
         "greybox.noise": "whitening first_noise held_out_fit as_fitted",
         "greybox.random_force": "FittedWindows ForceResponse PortMotion force_response plain_places",
         "greybox.unnamed_force": "Family fitted_windows judged unnamed_force",
-        "monitoring": "watch Watch",
+        "monitoring": "watch Watch ChangeTest PieceEquations onset",
         "data_checks.suitability": "check_record suitability",
         "data_checks.resampling": "join_clocks",
         "validation.model_validation": "validate",

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from robustlab.identification.monitoring import ChangeTest, PieceEquations, onset
+from robustlab.identification import ChangeTest, PieceEquations, onset
 
 # Priors of docs/watch.md: precision of a parameter, sizes of a change, pieces in which it grows, variances of random
 # errors, their share.
