@@ -70,7 +70,7 @@ class CampaignSettings:
     t_end: float | None = None
     points: int = 401
     hold: Literal["zoh", "foh"] = "zoh"  # input between samples
-    starts: int = 64  # for searches: number of first Sobol points
+    starts: int = 64  # for searches: number of first points
     band: float = 0.02  # share of the final value that counts as settled
 
     def __post_init__(self) -> None:

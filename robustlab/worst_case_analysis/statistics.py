@@ -91,13 +91,13 @@ class Influence(Tabular, Displayable):
 
 def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Influence:
     """Return the influence of real scalars on a metric from samples ``theta`` (n, d) and their ``values`` (n,)."""
-    from scipy.stats import f
+    from scipy.special import fdtri
 
     n, d = theta.shape
     ranks = _ranks(values)
     numbers = values if np.isfinite(values).all() else ranks
     bins = int(np.clip(np.sqrt(n), 4, MOST_BINS))
-    ratio = float(f.ppf(0.95, bins - 1, n - bins))
+    ratio = float(fdtri(bins - 1, n - bins, 0.95))
     found = judge.of(judge.set.members(np.vstack([np.where(np.eye(d), 0.0, theta[worst]), np.zeros((1, d))])))
     x, y = _ranks(theta) - (n + 1) / 2, ranks - (n + 1) / 2
     spread = np.sqrt((x**2).sum(axis=0) * (y**2).sum())
@@ -129,9 +129,12 @@ def _between_bins(x: Array, y: Array, bins: int) -> float:
 
 
 def _ranks(y: Array) -> Array:
-    from scipy.stats import rankdata
-
-    return np.asarray(rankdata(y, axis=0), dtype=float)
+    """Return the ranks 1..n of each column, equal values with their mean rank."""
+    columns = y.reshape(len(y), -1).T
+    ordered = np.sort(columns, axis=1)
+    pairs = zip(ordered, columns, strict=True)
+    both = [np.searchsorted(o, c, "left") + np.searchsorted(o, c, "right") for o, c in pairs]
+    return (np.array(both).T.reshape(y.shape) + 1) / 2
 
 
 FEWEST_SAMPLES = 32

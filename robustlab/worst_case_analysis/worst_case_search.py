@@ -26,7 +26,7 @@ LABEL_SMALLEST = "sampled: an upper bound of the true worst case, which is the s
 UNBOUNDED = "attained: this member has no bounded value"
 WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
 CLIMBING = 0.5  # share of it for the ascents, in equal parts
-VERTICES = 1024  # at most, in addition to the Sobol points
+VERTICES = 1024  # at most, in addition to the points of a Latin hypercube
 CLIMBS, CLIMB_STEPS = 8, 40  # ascents along gradients; more: more local maxima found. Steps of each
 STARTS = 4  # compass searches where there are no gradients
 SMALLEST_STEP = 1e-7  # of a compass search
@@ -144,7 +144,7 @@ def worst_case(
     band
         Share of the final value that counts as settled.
     n
-        Sobol points, in addition to the centre and up to 1024 vertices.
+        Points of a Latin hypercube, in addition to the centre and up to 1024 vertices.
     seed
         Seed of the random numbers.
     time_limit
@@ -233,7 +233,7 @@ class _Ended(Exception):
 
 
 class _Search:
-    """A search from the centre, vertices and Sobol points; scores are ``sense * value``: the larger the worse."""
+    """A search from the centre, vertices and a Latin hypercube; scores are ``sense * value``: the larger the worse."""
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
         self.metric, self.budget = metric, budget
@@ -250,7 +250,7 @@ class _Search:
             signs = vertex_signs(len(real), VERTICES, seed) if real else np.zeros((0, 0))
             vertices = np.zeros((len(signs), d))
             vertices[:, real] = signs
-            points = np.vstack([points, vertices, 2.0 * _sobol(n, d, seed) - 1.0])
+            points = np.vstack([points, vertices, 2.0 * _latin_hypercube(n, d, seed) - 1.0])
         scores = self._scores(points)
         order = np.argsort(-scores, kind="stable")
         self._keep(points[order[0]], float(scores[order[0]]))
@@ -345,13 +345,7 @@ class _Search:
         self._keep(theta, score)
 
 
-def _sobol(n: int, d: int, seed: int) -> Array:
-    """Return n points of a scrambled Sobol sequence in [0, 1)^d; independent ones beyond its tables."""
-    from scipy.stats import qmc
-
+def _latin_hypercube(n: int, d: int, seed: int) -> Array:
+    """Return n points in [0, 1)^d, one in each of the n intervals of every coordinate."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 3)))
-    if d > qmc.Sobol.MAXDIM:
-        return rng.random((n, d))
-    # The oldest supported scipy has the argument "seed", the newest "rng".
-    settings: dict[str, Any] = {"seed": rng}
-    return qmc.Sobol(d, scramble=True, **settings).random_base2(max(0, int(np.ceil(np.log2(n)))))[:n]
+    return (rng.permuted(np.tile(np.arange(n), (d, 1)), axis=1).T + rng.random((n, d))) / n

@@ -374,7 +374,7 @@ def whiteness(residual: ArrayLike, lags: int) -> Correlation:
     Q = N (N + 2) sum r_k^2 / N_k with N_k pairs at lag k, not centred: no parameter was fitted.
     """
     from scipy.linalg import toeplitz
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     r, pairs = autocorrelation(residual, lags)
     n = int(pairs[0])
@@ -383,7 +383,7 @@ def whiteness(residual: ArrayLike, lags: int) -> Correlation:
     dof = int(used.sum())
     predictor = np.linalg.lstsq(toeplitz(r[:-1]), r[1:])[0] if lags else np.zeros(0)
     share = float(np.clip(predictor @ r[1:], 0.0, 1.0))
-    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    p_value = float(chdtrc(dof, statistic)) if dof else 1.0
     return Correlation(np.arange(lags + 1), r, float(BAND_99 / np.sqrt(max(n, 1))), statistic, dof, p_value, share)
 
 
@@ -392,7 +392,7 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlati
 
     NaN samples of the residual are excluded. Q = N R^2 of the regression of the residual on lags 0.. of the input.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     e: Array = np.asarray(residual, dtype=np.float64)
     v: Array = np.asarray(u, dtype=np.float64)
@@ -409,7 +409,7 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlati
     spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))
     share, dof, rows = _explained(v, e, lags)
     statistic = rows * share
-    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    p_value = float(chdtrc(dof, statistic)) if dof else 1.0
     band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
     return Correlation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share)
 

@@ -64,7 +64,7 @@ class NoiseFloor(Evidence):
 
     def excess(self, residual: Array) -> Excess:
         """Test whether anything repeats in a residual (n,), with windows at the same phases of every period."""
-        from scipy.stats import f as fisher
+        from scipy.special import fdtrc
 
         r = self.repeats(residual)
         mean = r.mean(axis=0)
@@ -77,9 +77,7 @@ class NoiseFloor(Evidence):
         below = above * (self.count - 1)
         ratio = power * self.count / variance
         repeatable = float(np.sqrt(max(0.0, power - variance / self.count)))
-        return Excess(
-            ratio, float(fisher.sf(ratio, above, below)), (above, below), repeatable, float(np.sqrt(variance))
-        )
+        return Excess(ratio, float(fdtrc(above, below, ratio)), (above, below), repeatable, float(np.sqrt(variance)))
 
 
 def noise_floor(record: Record, *, outputs: Sequence[str] | None = None) -> NoiseFloor:
@@ -223,7 +221,7 @@ def _alike(stacked: Array) -> bool:
 
 def _transient(outputs: Sequence[Array]) -> int:
     """Count the first periods that differ from the later ones by more than these differ among themselves."""
-    from scipy.stats import f as fisher
+    from scipy.special import fdtrc
 
     skipped = 0
     count = min((len(x) for x in outputs), default=0)
@@ -238,7 +236,7 @@ def _transient(outputs: Sequence[Array]) -> int:
                 continue
             ratio = float(np.mean((x[0] - later.mean(axis=0)) ** 2)) / (noise * (1.0 + 1.0 / len(later)))
             dof = effective_dof(deviation)
-            if ratio > TRANSIENT_F and fisher.sf(ratio, dof, dof * (len(later) - 1)) < TRANSIENT_P:
+            if ratio > TRANSIENT_F and fdtrc(dof, dof * (len(later) - 1), ratio) < TRANSIENT_P:
                 skipped += 1
                 break
         else:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from robustlab.arrays import Array
 from robustlab.identification import tuning
@@ -104,7 +104,7 @@ def clearly_larger(errors: Array, others: Array) -> bool:
         return False
     if len(ratio) < 2 or not ratio.std() > 0.0:
         return bool(ratio.mean() > 0.0)
-    least = float(student.ppf(0.95, len(ratio) - 1)) * ratio.std(ddof=1) / np.sqrt(len(ratio))
+    least = float(stdtrit(len(ratio) - 1, 0.95)) * ratio.std(ddof=1) / np.sqrt(len(ratio))
     return bool(ratio.mean() > least)
 
 

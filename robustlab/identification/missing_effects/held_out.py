@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from robustlab.arrays import Array, Indices
 from robustlab.dynamics.extended.simulator import Windows
@@ -149,7 +149,7 @@ def at_limits(problem: Problem, fit: Fit) -> frozenset[str]:
         for n, moves, z in zip(problem.nuisances, moving, fit.z, strict=False) if moves
     ]  # fmt: skip
     found = {n.label for n, z, (low, high) in own if not low <= z <= high}
-    if sum(z**2 for _, z, _ in own) > chi2.ppf(LIKELY, max(1, len(own))):
+    if sum(z**2 for _, z, _ in own) > 2.0 * gammaincinv(max(1, len(own)) / 2, LIKELY):
         found.add(TOGETHER)
     return frozenset(found)
 
