@@ -212,10 +212,13 @@ def save_figure(figure: Figure, folder: str | Path, name: str, png: bool = True)
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         _thinned(figure)
         if figure.get_layout_engine() is not None:
-            # One pass and once for all files: the constrained layout measures all labels twice as often.
+            # Once for all files, and in one pass (no rectangle): measuring labels takes as long as drawing them.
             figure.set_layout_engine(None)
-            below = max((legend.get_window_extent().height for legend in figure.legends), default=0.0)
-            TightLayoutEngine(rect=(0.0, below / figure.bbox.height, 1.0, 1.0)).execute(figure)
+            TightLayoutEngine(rect=None).execute(figure)  # pyright: ignore[reportArgumentType]
+            legends = max((legend.get_window_extent().height for legend in figure.legends), default=0.0)
+            room = figure.subplotpars
+            height, below = room.top - room.bottom, legends / figure.bbox.height
+            figure.subplots_adjust(bottom=room.bottom + below, hspace=room.hspace * height / (height - below))
         if png:
             FigureCanvasAgg(figure)
             metadata = {"Software": "robustlab"}
