@@ -1,0 +1,35 @@
+"""Count words of the project's former private dialect: ``python tools/language.py``; exit code 1 above the budget.
+
+A smoke alarm, not the standard. The standard is that an engineer reads a page once (CONTRIBUTING.md).
+"""
+
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+BUDGET = 40
+DIALECT = re.compile(
+    r"\b(?:told|tells?|said|asked|beside|stands|lies|hears|of ours|somebody's|leaves open|left to chance|gives way)\b"
+    r"|(?:^|[.:;] )What (?:[a-z]+ ){1,5}(?:is|are|has|can|may|must|does|was)\b(?![^.]*\?)",
+    re.MULTILINE,
+)
+TEXTS = ("robustlab", "docs", "recipes", "models", "tests", "benchmarks", "README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+SUFFIXES = (".py", ".md", ".toml", ".jinja")
+
+
+def main() -> int:
+    """Print the files with the dialect, most first, and return the exit code."""
+    files = subprocess.run(["git", "ls-files", *TEXTS], capture_output=True, text=True, check=True).stdout.splitlines()
+    found = {f: Counter(DIALECT.findall(Path(f).read_text("utf-8"))) for f in files if f.endswith(SUFFIXES)}
+    for name, words in sorted(found.items(), key=lambda item: -item[1].total()):
+        if words:
+            print(f"{words.total():4} {name}: {', '.join(f'{w.strip()} {n}' for w, n in words.most_common())}")
+    total = sum(words.total() for words in found.values())
+    print(f"{total} words of the dialect, budget {BUDGET}")
+    return int(total > BUDGET)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
