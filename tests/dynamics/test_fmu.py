@@ -1,4 +1,4 @@
-"""A co-simulation unit made by pythonfmu against its closed form; docs/fmu.md."""
+"""A co-simulation unit made by pythonfmu against its closed form; docs/plants.md."""
 
 import hashlib
 import re
@@ -19,7 +19,7 @@ pytest.importorskip("pythonfmu")
 
 T = np.linspace(0.0, 1.0, 101)
 COMMAND = [sys.executable, "-c", "from robustlab.cli.main import main; main()"]
-PAGE = (Path(__file__).parents[2] / "docs" / "fmu.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "plants.md").read_text(encoding="utf-8")
 SLAVE = '''
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
