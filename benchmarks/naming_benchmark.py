@@ -1,4 +1,4 @@
-"""An open benchmark of naming: ``python benchmarks/naming_benchmark.py make|answer|score`` (docs/naming-benchmark.md).
+"""An open benchmark of naming: ``python benchmarks/naming_benchmark.py make|answer|score`` (docs/discover.md).
 
 ``make DIR`` writes the data set (some 300 cases; ``truth.json`` apart from what a program may read). ``answer DIR
 --program robustlab --out FILE.json`` lets one of three programs answer (robustlab, stepwise, sindy; the last needs

@@ -4,7 +4,6 @@ A smoke alarm, not the standard. The standard is that an engineer reads a page o
 """
 
 import re
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -15,14 +14,28 @@ DIALECT = re.compile(
     r"|(?:^|[.:;] )What (?:[a-z]+ ){1,5}(?:is|are|has|can|may|must|does|was)\b(?![^.]*\?)",
     re.MULTILINE,
 )
-TEXTS = ("robustlab", "docs", "recipes", "models", "tests", "benchmarks", "README.md", "CHANGELOG.md", "CONTRIBUTING.md")
+TEXTS = (
+    "robustlab",
+    "docs",
+    "recipes",
+    "models",
+    "tests",
+    "benchmarks",
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+)
 SUFFIXES = (".py", ".md", ".toml", ".jinja")
 
 
 def main() -> int:
     """Print the files with the dialect, most first, and return the exit code."""
-    files = subprocess.run(["git", "ls-files", *TEXTS], capture_output=True, text=True, check=True).stdout.splitlines()
-    found = {f: Counter(DIALECT.findall(Path(f).read_text("utf-8"))) for f in files if f.endswith(SUFFIXES)}
+    files = [*ROOT.glob("*.md"), *(f for folder in FOLDERS for f in (ROOT / folder).rglob("*"))]
+    found = {
+        file.relative_to(ROOT): Counter(DIALECT.findall(file.read_text(encoding="utf-8")))
+        for file in files
+        if file.suffix in SUFFIXES and "results" not in file.parts
+    }
     for name, words in sorted(found.items(), key=lambda item: -item[1].total()):
         if words:
             print(f"{words.total():4} {name}: {', '.join(f'{w.strip()} {n}' for w, n in words.most_common())}")

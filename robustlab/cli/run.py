@@ -343,7 +343,7 @@ def verify(
     chosen = {path: claims_in_file(path) for given in files for path in _files_in(given)}
     holding = {path: claims for path, claims in chosen.items() if claims}
     if not holding:
-        hint = "files of earlier versions hold none; docs/proved.md says which results have them"
+        hint = "files of earlier versions hold none; docs/proofs.md says which results have them"
         raise InputError(", ".join(files), "no claims", "results that were saved with their evidence", hint)
     found: dict[str, Any] = {}
     with shown(progress, "verify", len(holding), budgets=False) as display:

@@ -146,7 +146,7 @@ def verify(result: Any, *, effort: float = 1.0) -> Verified:
     claims = claims_of(result) if file is None else claims_in(file)
     if not claims:
         name = f"a {type(result).__name__}" if file is None else f"{result}, a file"
-        hint = "docs/proved.md says what can be; of a result that was loaded verify the file"
+        hint = "docs/proofs.md says what can be; of a result that was loaded verify the file"
         raise InputError("verify", f"{name} without claims", "a result with evidence that can be checked", hint)
     found = [check(claim, effort=max(1, round(EFFORT * effort))) for claim in claims]
     rows, others, notes = ([], [], []) if file is None else displayed(file, claims, found)

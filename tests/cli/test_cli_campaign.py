@@ -32,7 +32,7 @@ def test_the_page_in_order(folder, monkeypatch):
     assert "2 of 2 searches" in printed["run", "searches.sqlite"]
     # The page's code does what the commands did.
     names = {}
-    exec(re.search(r"```python\n(.*?)```", PAGE, re.S).group(1), names)
+    exec("\n".join(re.findall(r"```python\n(.*?)```", PAGE, re.S)), names)
     assert f"{names['result'].worst:.9g} rad/s in sample 675" in SHOWN
     assert f"{names['result'].violation.upper:.4g}" in SHOWN
 

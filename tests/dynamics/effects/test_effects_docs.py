@@ -9,11 +9,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import robustlab as rl
-from robustlab.dynamics import Effect, Scales, catalogue
+from robustlab.dynamics import Scales, catalogue
 
 TEXT = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
-WAYS = ("factors", "extend", "laws", "input", "output")
 
 
 @pytest.fixture
@@ -54,13 +53,9 @@ def test_the_code_runs_and_the_brake_brakes(names):
 def test_the_table_is_that_of_the_catalogue(name):
     known = catalogue()[name]
     row = next(line for line in TEXT.splitlines() if line.startswith(f"| `{name}`"))
-    first, equation, parameters, site, ways = (c.strip() for c in re.split(r"(?<!\\)\|", row)[1:-1])
+    first, equation, parameters, site = (c.strip() for c in re.split(r"(?<!\\)\|", row)[1:-1])
     assert first == f"`{name}`" + (f" ({known.refines})" if known.refines else "")
     assert equation == f"`{known.equation}`".replace("|", r"\|")
     symbols = {p.name for s in (Scales(), Scales(force_unit="N")) for p in known.parameters(s)}
     assert set(re.findall(r"`(\w+)`", parameters)) == symbols
     assert site.startswith(known.site_kind)
-    unused = {"input", "output"} - {known.site_kind}  # the other side of a gain, which has the same method for both
-    own = {way for way in WAYS if getattr(type(known), way) is not getattr(Effect, way)} - unused
-    own |= {"laws"} if known.force is not None else set()
-    assert set(re.findall(r"`(\w+)`", ways)) == own

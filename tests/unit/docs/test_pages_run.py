@@ -24,8 +24,8 @@ DOCS = ROOT / "docs"
 TUTORIALS = sorted(
     page.stem for page in (DOCS / "tutorials").glob("*.md") if not page.read_text(encoding="utf-8").startswith("---")
 )
-QUICK = ["conventions", "from_data_to_controller", "models", "objects"]
-LONG = ["cover", "delays", "fixed_structure", "gain-scheduling", "iqc", "synthesis", "watch"]
+QUICK = ["conventions", "models", "objects", "proofs"]
+LONG = ["cover", "delays", "discover", "fixed_structure", "gain-scheduling", "iqc", "synthesis", "watch"]
 
 
 def blocks_of(page: str) -> list[tuple[str, str]]:
