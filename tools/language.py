@@ -14,17 +14,8 @@ DIALECT = re.compile(
     r"|(?:^|[.:;] )What (?:[a-z]+ ){1,5}(?:is|are|has|can|may|must|does|was)\b(?![^.]*\?)",
     re.MULTILINE,
 )
-TEXTS = (
-    "robustlab",
-    "docs",
-    "recipes",
-    "models",
-    "tests",
-    "benchmarks",
-    "README.md",
-    "CHANGELOG.md",
-    "CONTRIBUTING.md",
-)
+ROOT = Path(__file__).parents[1]
+FOLDERS = ("robustlab", "docs", "recipes", "models", "tests", "benchmarks")
 SUFFIXES = (".py", ".md", ".toml", ".jinja")
 
 
