@@ -36,7 +36,6 @@ class AllFields:
     """Base of classes whose JSON is all of their fields."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return all fields."""
         return dict(vars(self))
 
 
@@ -148,9 +147,6 @@ def _plain_facts(shown: Displayable) -> Facts:
 
 def _clipped(text: str, width: int = WIDTH) -> str:
     return text if len(text) <= width else f"{text[: width - 3].rstrip()}..."
-
-
-# --- texts ------------------------------------------------------------------------------------------------------------
 
 
 def number(value: Any, unit: str = "", digits: int = 4) -> str:

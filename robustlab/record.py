@@ -91,13 +91,9 @@ class Record(Displayable, Traced):
                 if key not in known and key != "t":
                     found = f"a unit or meaning for {key!r}, which is no signal"
                     raise InputError(name, found, None, did_you_mean(key, known))
-        put = object.__setattr__
-        put(self, "t", clock)
-        put(self, "inputs", ins)
-        put(self, "outputs", outs)
-        put(self, "units", {key: str((units or {}).get(key, "")) for key in known})
-        put(self, "name", name)
-        put(self, "meaning", {key: str(text) for key, text in (meaning or {}).items()})
+        texts = {key: str((units or {}).get(key, "")) for key in known}
+        meanings = {key: str(text) for key, text in (meaning or {}).items()}
+        vars(self).update(t=clock, inputs=ins, outputs=outs, units=texts, name=name, meaning=meanings)
 
     @property
     def n(self) -> int:
@@ -252,7 +248,6 @@ class Record(Displayable, Traced):
         return {"name": self.name, "t": self.t, "inputs": self.inputs, "outputs": self.outputs, "units": self.units}
 
     def facts(self) -> Facts:
-        """Return size, sample time, signals with units."""
         step = number(self.dt, "s")
         clock = f"every {step}" if self.is_uniform else f"{step} on average, not uniform"
         return [

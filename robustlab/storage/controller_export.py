@@ -284,8 +284,8 @@ def export_controller(
         raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
     held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
     options = {"a saturation": saturation, "an anti-windup time": anti_windup, "a feed-forward": feed_forward}
-    for what, given in options.items():
-        if given is not None and suffix != ".c":
+    for what, option in options.items():
+        if option is not None and suffix != ".c":
             raise UsageError(str(path), f"{what} in a {suffix} file", "a .c file: the others hold a linear model")
     if anti_windup is not None and saturation is None:
         raise UsageError(str(path), "an anti-windup time without a saturation", "a .c file with a saturation")

@@ -30,7 +30,6 @@ class Problems:
     notes: list[str] = field(default_factory=list)  # remarks on a valid file
 
     def add(self, line: str, hint: str | None = None) -> None:
-        """Add a fault."""
         self.lines.append(line)
         self.hint = self.hint or hint
 
@@ -275,10 +274,8 @@ def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None,
         unknown = [word for word in rows[2] if word and word not in TAKES]
         if unknown:
             problems.add(f"{group.child_path(names[2])} is {unknown[0]!r}, expected one of {', '.join(TAKES)}")
-        made = [
-            Taken(*row) if row[2] else Signal(*row[:2]) for row in zip(*rows, strict=False) if row[2] not in unknown
-        ]
-        result.append(made)
+        known = [row for row in zip(*rows, strict=False) if row[2] not in unknown]
+        result.append([Taken(*row) if row[2] else Signal(*row[:2]) for row in known])
     return tuple(result)
 
 
@@ -396,7 +393,6 @@ class Difference(AllFields, Displayable):
 
     @property
     def count(self) -> int:
-        """Number of entries that differ."""
         return len(self.changes)
 
     @property
@@ -412,7 +408,6 @@ class Difference(AllFields, Displayable):
         return [("differ", f"{self.count} of {self.entries} entries"), ("largest change", change)]
 
     def details(self) -> list[Part]:
-        """Every entry that differs."""
         rows = [
             (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
             for c in self.changes
@@ -421,7 +416,6 @@ class Difference(AllFields, Displayable):
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
-    """Return the entries that differ."""
     check_pair(first, second, "difference of two models")
     changes = []
     for name, rows, columns in (
