@@ -161,11 +161,7 @@ class Record(Displayable, Traced):
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
             `robustlab.files.records.read_record`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
-
-        Returns
-        -------
-        Record
-            The signals in SI units where ``units`` states theirs, else unchanged.
+            Signals with a unit in ``units`` are converted to SI.
 
         Raises
         ------
@@ -179,16 +175,8 @@ class Record(Displayable, Traced):
     def to_pandas(self) -> pandas.DataFrame:
         """Return the record as a data frame of pandas (extra ``frames``).
 
-        Returns
-        -------
-        pandas.DataFrame
-            Index ``t`` in s, a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``, ``meaning``,
-            ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
-
-        Raises
-        ------
-        DependencyMissing
-            pandas is not installed.
+        It has the index ``t`` in s, and a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``,
+        ``meaning``, ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
 
         Examples
         --------
@@ -224,8 +212,6 @@ class Record(Displayable, Traced):
         ------
         InputError
             Columns that are no numbers, have one name, or are nested; NaN; no times, or times that do not increase.
-        DependencyMissing
-            pandas is not installed.
 
         Examples
         --------

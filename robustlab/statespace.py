@@ -173,10 +173,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     def dc_gain(self) -> Array:
         """Return the steady-state gain (n_y, n_u): ``D - C A^-1 B``, or ``D + C (I - A)^-1 B`` in discrete time.
 
-        Raises
-        ------
-        InputError
-            The model integrates: it has a pole at s = 0 (z = 1).
+        Raises InputError: the model has a pole at s = 0 (z = 1).
         """
         lhs = np.eye(self.n_states) - self.A if self.is_discrete else -self.A
         if self.n_states and np.linalg.matrix_rank(lhs) < self.n_states:

@@ -175,7 +175,8 @@ def stored_record(node: Tree, where: str, **choice: Any) -> dict[str, Any]:
     clock = _datasets(node)["t"]
     source.notes, clock.meaning = clock.meaning.splitlines(), ""
     source.add_clock("t", clock)
-    return choose(source, **choice | {"allow_gaps": True})
+    choice["allow_gaps"] = True
+    return choose(source, **choice)
 
 
 def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Source:

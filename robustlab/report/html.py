@@ -66,12 +66,10 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
         detail = f"These steps ended without one: {doubtful}. {count}."
         return Verdict("bad", "✗", "No trustworthy number", detail)
     if unmet:
-        words = []
-        for n, one, more in (
-            (sum(not q["why_not"] for q in unmet), "requirement is not met", "requirements are not met"),
-            (sum(bool(q["why_not"]) for q in unmet), "requirement cannot be judged", "requirements cannot be judged"),
-        ):
-            words += [f"{n} {one if n == 1 else more}"] if n else []
+        open_ones = sum(bool(q["why_not"]) for q in unmet)
+        failed = len(unmet) - open_ones
+        words = [f"{failed} requirement{' is' if failed == 1 else 's are'} not met"] if failed else []
+        words += [f"{open_ones} requirement{'s' * (open_ones > 1)} cannot be judged"] if open_ones else []
         return Verdict("bad", "✗", ", ".join(words), f"{count}; {trusted}")
     if not requirements:
         return Verdict("warn", "–", "Done; no requirement was stated", trusted.capitalize())
@@ -79,8 +77,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
         return Verdict("warn", "!", f"{headline}; something remains", f"What these steps found is not all: {remains}.")
-    windows = in_windows_only(requirements)
-    if windows:
+    if windows := in_windows_only(requirements):
         return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
     return Verdict("good", "✓", headline, trusted.capitalize())
 
@@ -147,7 +144,8 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
 def _template() -> Template:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    loader, options = PackageLoader("robustlab.report", ""), {"trim_blocks": True, "lstrip_blocks": True}
+    loader = PackageLoader("robustlab.report", "")
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True}
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **options)
     environment.filters["pretty"] = _pretty
     return environment.get_template("page.html.j2")
@@ -193,7 +191,6 @@ def leading_figures(result: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
 
 
 def heading(step: Mapping[str, Any]) -> str:
-    """Return the title of a step, by default its name as words."""
     name = step["name"].replace("_", " ").replace("-", " ")
     return step["title"] or name[:1].upper() + name[1:]
 

@@ -339,7 +339,7 @@ def cover_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure
 def weight_figure(cover: Cover, models: Sequence[StateSpaceModel] = ()) -> Figure:
     """Errors of the models, their bound, and the weight above it; below, its excess."""
     assert cover.fit is not None
-    form = cast(Form, cover.form)
+    form = cast("Form", cover.form)
     errors = error_sizes(tuple(models), cover.model.nominal, form, cover.fit.omega) if models else ()
     return overbound_figure(cover.fit, errors, f"{cover.form}: weight over the errors of {len(cover.sizes)} models")
 

@@ -274,10 +274,7 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
 
 # --- parametric models in TOML: matrices of expressions, ranges of parameters, names of signals -----------------------
 #
-#   A = [[0, 1], ["-k/m", "-c/m"]]
-#   B = [[0], ["1/m"]]
-#   C = [[1, 0]]
-#   D = [[0]]
+#   A = [[0, 1], ["-k/m", "-c/m"]]       # B, C and D alike
 #   inputs = [["F", "N"]]                # optional, as outputs, states and dt: a name, or a name and its unit
 #   [parameters]
 #   m = [3.0, 0.4]                       # nominal value, relative tolerance

@@ -66,7 +66,6 @@ COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
 def encode_state_space(tree: Tree, model: StateSpaceModel) -> None:
-    """Write ``model`` into ``tree`` in the layout of kind ``state-space``."""
     for name in NAMES:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
@@ -82,7 +81,6 @@ def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
 
 
 def encode_point(tree: Tree, point: OperatingPoint | None) -> None:
-    """Write an operating point into ``tree``, if there is one."""
     for name in ("x", "u", "y") if point is not None else ():
         tree.group("operating_point").put(name, getattr(point, name))
 
@@ -318,7 +316,6 @@ def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any]
 
 
 def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
-    """Return the operating point in ``node``, or None."""
     group = node.groups.get("operating_point")
     if group is None:
         return None
@@ -332,7 +329,6 @@ PAIR = ("nominal", "perturbed")
 
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """Return the models in groups ``nominal`` and ``perturbed``."""
     find_children(tree, PAIR, problems, kind="group")
     dt = sample_time(tree, problems)
     models: dict[str, Any] = {}
@@ -370,10 +366,9 @@ def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str 
 
 @dataclass(frozen=True)
 class Change(AllFields):
-    """One entry of A, B, C or D that differs."""
+    """One entry of A, B, C or D that differs: the gain from a signal, ``column``, to ``row`` or its derivative."""
 
     matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
-    # row, column: names of the signals; the entry is the gain from `column` to `row` (to its derivative, in A and B)
     row: str
     column: str
     first: float
@@ -397,7 +392,6 @@ class Difference(AllFields, Displayable):
 
     @property
     def largest(self) -> float:
-        """Largest relative change."""
         return max((abs(c.relative) for c in self.changes), default=0.0)
 
     def headline(self) -> str:
@@ -417,13 +411,8 @@ class Difference(AllFields, Displayable):
 
 def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
     check_pair(first, second, "difference of two models")
-    changes = []
-    for name, rows, columns in (
-        ("A", first.state_names, first.state_names),
-        ("B", first.state_names, first.input_names),
-        ("C", first.output_names, first.state_names),
-        ("D", first.output_names, first.input_names),
-    ):
+    changes, x, u, y = [], first.state_names, first.input_names, first.output_names
+    for name, rows, columns in (("A", x, x), ("B", x, u), ("C", y, x), ("D", y, u)):
         a, b = getattr(first, name), getattr(second, name)
         for i, j in np.argwhere(a != b):
             old, new = float(a[i, j]), float(b[i, j])
