@@ -145,5 +145,5 @@ def child_environment() -> dict[str, str]:
     """Return the environment of a child process: ours with one thread, UTF-8, and the folder of this package."""
     paths = (str(Path(__file__).resolve().parents[1]), os.environ.get("PYTHONPATH", ""))
     threads = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-    own = {"PYTHONPATH": os.pathsep.join(part for part in paths if part), "PYTHONUTF8": "1"}
+    own = {"PYTHONPATH": os.pathsep.join(filter(None, paths)), "PYTHONUTF8": "1"}
     return {**os.environ, **own, **dict.fromkeys(threads, "1")}

@@ -52,7 +52,6 @@ def choice(where: str, value: Any, words: Iterable[str], hint: str | None = None
 
 
 def _range(above: float, at_least: float, below: float, at_most: float) -> str:
-    """Return a range of numbers in words."""
     least, most = max(above, at_least), min(below, at_most)
     if least == -inf:
         return "a finite number" if most == inf else f"a number {'below' if below <= at_most else 'up to'} {most:g}"

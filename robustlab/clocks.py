@@ -46,7 +46,6 @@ class ClockSummary:
     at: float  # the stamp before it
 
     def text(self) -> str:
-        """Return the summary in words."""
         words = f"{self.n} samples at {1 / self.step:.6g} Hz"
         if self.jitter > UNIFORM_TOLERANCE * self.step or self.longest > (1 + UNIFORM_TOLERANCE) * self.step:
             words += f", jitter {self.jitter:.3g} s rms, largest gap {self.longest:.4g} s after t = {self.at:.6g} s"
@@ -102,10 +101,9 @@ def held(clock: Array, t: Array, samples: Array, step: float) -> Array:
 def interpolated(clock: Array, t: Array, samples: Array, step: float) -> tuple[Array, Mask, Array]:
     """Return samples at ``clock``, whether each is at a stamp, and the distance in s of the stamps around it."""
     after = np.clip(np.searchsorted(t, clock, side="left"), 1, len(t) - 1)
-    before = after - 1
+    before, slack = after - 1, SAME_TIME * step
     share = (clock - t[before]) / (t[after] - t[before])
     y = samples[before] + share * (samples[after] - samples[before])
-    slack = SAME_TIME * step
     on_before, on_after = np.abs(clock - t[before]) <= slack, np.abs(clock - t[after]) <= slack
     y = np.where(on_before, samples[before], np.where(on_after, samples[after], y))
     return y, on_before | on_after, t[after] - t[before]

@@ -36,7 +36,6 @@ class AllFields:
     """Base of classes whose JSON is all of their fields."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return all fields."""
         return dict(vars(self))
 
 
@@ -109,7 +108,7 @@ class Displayable:
         return f"<table>{caption}<tbody>{''.join(rows)}</tbody></table>"
 
     def plot(self, kind: str | None = None, *, ax: Any = None, **options: Any) -> Any:
-        """Draw it; nothing is shown or saved.
+        """Draw it and return the Axes, or an array of them of several panels; nothing is shown or saved.
 
         Parameters
         ----------
@@ -119,11 +118,6 @@ class Displayable:
             Axes to draw into. A drawing of several panels takes its place. A new figure of pyplot where left out.
         **options
             What the drawing takes, for example ``omega=`` or ``output=``; see docs/objects.md.
-
-        Returns
-        -------
-        matplotlib.axes.Axes or numpy.ndarray
-            The Axes, or an array of them where the drawing has several panels.
 
         Raises
         ------
@@ -148,9 +142,6 @@ def _plain_facts(shown: Displayable) -> Facts:
 
 def _clipped(text: str, width: int = WIDTH) -> str:
     return text if len(text) <= width else f"{text[: width - 3].rstrip()}..."
-
-
-# --- texts ------------------------------------------------------------------------------------------------------------
 
 
 def number(value: Any, unit: str = "", digits: int = 4) -> str:
@@ -252,7 +243,6 @@ def matrix_lines(name: str, rows: Sequence[Sequence[complex]], width: int, most:
     """Return the lines of a matrix of ``width`` columns after its name, with six digits; of a large one its size."""
     if not rows or not width or max(len(rows), width) > most:
         return [f"{name}: {len(rows)} x {width}"]
-    cells = [[text if text.startswith("-") else f" {text}" for text in (f"{x:.6g}" for x in row)] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in cells]
+    cells = [tuple(text if text[0] == "-" else f" {text}" for text in (f"{x:.6g}" for x in row)) for row in rows]
+    lines = text_table(cells).split("\n")
     return [f"{f'{name}: ' if k == 0 else ' ' * (len(name) + 2)}{line}".rstrip() for k, line in enumerate(lines)]

@@ -158,7 +158,6 @@ def unknown_name(where: str, found: str, name: str, known: Iterable[str]) -> Inp
 
 
 def _shown(text: str) -> str:
-    """Return ``text`` for a terminal, shortened to MAX_LINE."""
     half = MAX_LINE // 2
     return plain_text(text if len(text) <= MAX_LINE else f"{text[:half]} ... {text[-half:]}")
 

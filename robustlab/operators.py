@@ -88,6 +88,8 @@ class Behaviour:
     def feedback(self, other: Any = 1.0, sign: int | None = None) -> Self:
         """Return the closed loop from r to y for ``y = self e, e = r + sign other y``, with this model's signals.
 
+        The result is of the more general kind of the two: of a model and a set of models it is a set.
+
         Parameters
         ----------
         other
@@ -95,11 +97,6 @@ class Behaviour:
         sign
             -1: negative feedback, ``e = r - other y``; 1: positive. Left out: a controller from a design has its own
             sign, anything else negative feedback.
-
-        Returns
-        -------
-        Self
-            A model of the more general kind of the two: of a model and a set of models it is a set.
 
         Raises
         ------
@@ -114,47 +111,25 @@ class Behaviour:
     def __call__(self, s: ArrayLike) -> NDArray[np.complex128]:
         r"""Compute the transfer matrix at complex numbers: ``G(2j)`` is the response at 2 rad/s.
 
-        Parameters
-        ----------
-        s
-            In rad/s, one number or shape (n,); of a discrete model numbers z, :math:`e^{j \omega dt}` at a frequency.
-
-        Returns
-        -------
-        ndarray
-            Complex, shape (n_y, n_u), or (n, n_y, n_u).
-
-        Raises
-        ------
-        InputError
-            Numbers that are not finite; frequency data at others than their own frequencies.
-        NoTrustworthyNumber
-            A number is a pole.
+        ``s`` is one number in rad/s, or shape (n,); of a discrete model z, :math:`e^{j \omega dt}` at a frequency. The
+        result has shape (n_y, n_u), or (n, n_y, n_u). Raises InputError: numbers that are not finite, frequency data at
+        other frequencies than their own; NoTrustworthyNumber: a number is a pole.
         """
         return import_module("robustlab.linear_analysis.frequency").value_at(self, s)
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles in rad/s (z plane if discrete), shape (n_x,); of a set those of the nominal model.
 
-        Raises
-        ------
-        InputError
-            A kind without a state-space model, such as one with exact delays.
+        Raises InputError: a kind without a state-space model, such as one with exact delays.
         """
         return import_module("robustlab.statespace").as_model(self, "poles").poles()
 
     def zeros(self) -> NDArray[np.complex128]:
-        """Return the finite invariant zeros (n_z,), in the same plane; `robustlab.zeros` adds kinds and directions.
-
-        Raises
-        ------
-        InputError
-            As `poles`.
-        """
+        """Return the finite invariant zeros (n_z,), as `poles`; `robustlab.zeros` adds kinds and directions."""
         return import_module("robustlab.linear_analysis.zeros").zeros(self).values
 
     def step(self, t_end: float | None = None, input: str | None = None) -> Record:
-        """Simulate the response to a unit step on one input, from rest.
+        """Simulate the response to a unit step on one input, from rest, at 401 samples or those of a discrete model.
 
         Parameters
         ----------
@@ -162,11 +137,6 @@ class Behaviour:
             End in s; eight time constants of the slowest decay where left out.
         input
             Name of the input; the only one where left out.
-
-        Returns
-        -------
-        Record
-            All inputs and outputs at 401 samples, or at those of a discrete model.
 
         Raises
         ------

@@ -28,7 +28,6 @@ _PACKAGES = {"cvxpy": ("cvxpy-base", "cvxpy")}
 
 
 def robustlab_version() -> str:
-    """Return the version of the installed package."""
     return metadata.version("robustlab")
 
 

@@ -134,10 +134,8 @@ def zpk(
         ``zeros[i][j]`` of them, from input j to output i; ``poles`` alike.
     gain
         k, real; of several channels a matrix.
-    dt
-        Sample time in s of a transfer function in z; 0 means continuous time.
-    inputs, outputs
-        Names, or (name, unit) pairs.
+    dt, inputs, outputs
+        As in `tf`.
 
     Returns
     -------

@@ -91,13 +91,9 @@ class Record(Displayable, Traced):
                 if key not in known and key != "t":
                     found = f"a unit or meaning for {key!r}, which is no signal"
                     raise InputError(name, found, None, did_you_mean(key, known))
-        put = object.__setattr__
-        put(self, "t", clock)
-        put(self, "inputs", ins)
-        put(self, "outputs", outs)
-        put(self, "units", {key: str((units or {}).get(key, "")) for key in known})
-        put(self, "name", name)
-        put(self, "meaning", {key: str(text) for key, text in (meaning or {}).items()})
+        texts = {key: str((units or {}).get(key, "")) for key in known}
+        meanings = {key: str(text) for key, text in (meaning or {}).items()}
+        vars(self).update(t=clock, inputs=ins, outputs=outs, units=texts, name=name, meaning=meanings)
 
     @property
     def n(self) -> int:
@@ -165,11 +161,7 @@ class Record(Displayable, Traced):
         **options
             ``clock``, ``units``, ``delimiter``, ``decimal``, ``allow_gaps``, ``no_verify``; see
             `robustlab.files.records.read_record`. ``limits``, ``isolate``; see `robustlab.files.hdf5.read_tree`.
-
-        Returns
-        -------
-        Record
-            The signals in SI units where ``units`` states theirs, else unchanged.
+            Signals with a unit in ``units`` are converted to SI.
 
         Raises
         ------
@@ -183,16 +175,8 @@ class Record(Displayable, Traced):
     def to_pandas(self) -> pandas.DataFrame:
         """Return the record as a data frame of pandas (extra ``frames``).
 
-        Returns
-        -------
-        pandas.DataFrame
-            Index ``t`` in s, a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``, ``meaning``,
-            ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
-
-        Raises
-        ------
-        DependencyMissing
-            pandas is not installed.
+        It has the index ``t`` in s, and a column for each signal, inputs first. ``attrs`` holds ``name``, ``units``,
+        ``meaning``, ``inputs`` and ``outputs``, from which `from_pandas` makes the same record, bit for bit.
 
         Examples
         --------
@@ -228,8 +212,6 @@ class Record(Displayable, Traced):
         ------
         InputError
             Columns that are no numbers, have one name, or are nested; NaN; no times, or times that do not increase.
-        DependencyMissing
-            pandas is not installed.
 
         Examples
         --------
@@ -252,7 +234,6 @@ class Record(Displayable, Traced):
         return {"name": self.name, "t": self.t, "inputs": self.inputs, "outputs": self.outputs, "units": self.units}
 
     def facts(self) -> Facts:
-        """Return size, sample time, signals with units."""
         step = number(self.dt, "s")
         clock = f"every {step}" if self.is_uniform else f"{step} on average, not uniform"
         return [

@@ -82,12 +82,10 @@ class Result(Displayable, Traced):
     data: Mapping[str, Any]  # the result of its ``to_json``; arrays are numpy arrays
 
     def facts(self) -> Facts:
-        """Return the type that was saved, and its data in a few words each."""
         rows = [(name, in_words(value)) for name, value in self.data.items() if name not in ("status", "type")]
         return [("type", self.type), *rows]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the data with type and status."""
         return {"type": self.type, **self.data, "status": self.status}
 
 

@@ -46,7 +46,6 @@ class Taken(Signal):
     of: str  # name of the plant's signal; that of the input where left out
 
     def __new__(cls, name: str, unit: str = "", takes: str = "y", of: str = "") -> Taken:
-        """Make an input of this name."""
         if takes not in TAKES:
             raise InputError(f"input {name!r}", f"takes {takes!r}", f"one of {', '.join(TAKES)}")
         made = super().__new__(cls, name, unit)
@@ -196,7 +195,6 @@ def _chosen(key: Any, known: tuple[str, ...], kind: str) -> list[str]:
 
 
 def is_number(operand: Any) -> bool:
-    """Return whether an operand is one real number."""
     return isinstance(operand, (int, float, np.number)) and not isinstance(operand, bool)
 
 

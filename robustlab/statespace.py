@@ -112,14 +112,14 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         _check_shapes(a, b, c, d, where)
         if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not 0 <= dt < np.inf:
             raise InputError(where, f"dt is {dt}", "0 (continuous) or a positive sample time in s")
-        put = object.__setattr__  # the dataclass is frozen
-        for name, matrix in zip("ABCD", (a, b, c, d), strict=True):
-            put(self, name, matrix)
-        put(self, "dt", float(dt))
-        put(self, "inputs", signals(inputs, d.shape[1], "u", f"{where}: inputs"))
-        put(self, "outputs", signals(outputs, d.shape[0], "y", f"{where}: outputs"))
-        put(self, "states", signals(states, a.shape[0], "x", f"{where}: states"))
-        put(self, "operating_point", _checked_operating_point(operating_point, a, d, where))
+        # The dataclass is frozen.
+        vars(self).update(
+            A=a, B=b, C=c, D=d, dt=float(dt),
+            inputs=signals(inputs, d.shape[1], "u", f"{where}: inputs"),
+            outputs=signals(outputs, d.shape[0], "y", f"{where}: outputs"),
+            states=signals(states, a.shape[0], "x", f"{where}: states"),
+            operating_point=_checked_operating_point(operating_point, a, d, where),
+        )  # fmt: skip
 
     def _in_states(self, A: Array, B: Array, C: Array, D: Array | None = None, *, rate: float = 1.0) -> StateSpaceModel:
         """Return the model in as many other states and the time unit ``1 / rate``, with its poles, unchecked."""
@@ -132,8 +132,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         if known is not None and rate != 1:
             vars(model)["_poles"] = known / rate
         return model
-
-    # --- sizes and names ---------------------------------------------------------------------------------------------
 
     @property
     def n_states(self) -> int:
@@ -149,8 +147,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     def is_discrete(self) -> bool:
         """Whether ``dt > 0``."""
         return self.dt > 0
-
-    # --- behaviour ---------------------------------------------------------------------------------------------------
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the eigenvalues of A, shape (n_x,)."""
@@ -177,17 +173,12 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
     def dc_gain(self) -> Array:
         """Return the steady-state gain (n_y, n_u): ``D - C A^-1 B``, or ``D + C (I - A)^-1 B`` in discrete time.
 
-        Raises
-        ------
-        InputError
-            The model integrates: it has a pole at s = 0 (z = 1).
+        Raises InputError: the model has a pole at s = 0 (z = 1).
         """
         lhs = np.eye(self.n_states) - self.A if self.is_discrete else -self.A
         if self.n_states and np.linalg.matrix_rank(lhs) < self.n_states:
             raise InputError("dc_gain", "the model has a pole at zero frequency", "a model without integrators")
         return self.D + self.C @ np.linalg.solve(lhs, self.B) if self.n_states else self.D.copy()
-
-    # --- parts and other names ---------------------------------------------------------------------------------------
 
     def select(self, inputs: Sequence[str] | None = None, outputs: Sequence[str] | None = None) -> StateSpaceModel:
         """Return the model with the named inputs and outputs only, in that order; all states are kept."""
@@ -211,8 +202,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         """Return ``G[outputs, inputs]`` by numbers, slices, names or lists of these; all states are kept."""
         outputs, inputs = picked(key, self.output_names, self.input_names)
         return self.select(inputs, outputs)
-
-    # --- algebra; the operators are those of `TransferMatrix` --------------------------------------------------------
 
     def _product(self, second: Any, first: Any) -> StateSpaceModel:
         return product(second, first)
@@ -238,8 +227,6 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         d = np.linalg.inv(self.D)
         matrices = self.A - self.B @ d @ self.C, self.B @ d, -d @ self.C, d
         return StateSpaceModel(*matrices, self.dt, self.outputs, self.inputs, self.states, where="inverse")
-
-    # --- python-control ----------------------------------------------------------------------------------------------
 
     @classmethod
     def from_control(cls, system: Any) -> StateSpaceModel:
@@ -279,23 +266,19 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         return {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "dt": self.dt, **sides}
 
     def numbers(self) -> dict[str, Any]:
-        """Return sizes, names and poles."""
         return {
             "states": self.n_states, "inputs": list(self.input_names), "outputs": list(self.output_names),
             "spectral_abscissa": self.spectral_abscissa(), "poles": self.poles(),
         }  # fmt: skip
 
     def headline(self) -> str:
-        """Return the size in words."""
         return f"model with {self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs"
 
     def details(self) -> list[Part]:
-        """Return the poles, the rightmost first."""
         poles = sorted(self.poles(), key=lambda p: (-p.real, p.imag))[:SHOWN_BLOCKS]
         return [Part("", (f"pole{'' if self.is_discrete else ' [1/s]'}",), [(number(p, "", 6),) for p in poles])]
 
     def facts(self) -> Facts:
-        """Return size, signals with units, poles."""
         abscissa = self.spectral_abscissa()
         kind = "stable" if abscissa < 0 else "on the stability boundary" if abscissa == 0 else "unstable"
         where, time = f"rightmost {number(abscissa, '1/s')}", "continuous"
@@ -445,9 +428,6 @@ def lower_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
     if not all(np.isfinite(part).all() for part in (a, b, c, d)):
         raise NoTrustworthyNumber("lower_lft", "a product of entries of P and K overflows", "numbers below 1e308")
     return StateSpaceModel(a, b, c, d, dt, P.inputs[:n_w], P.outputs[:n_z], _states(P, K), where="lower_lft")
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
 
 
 def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:

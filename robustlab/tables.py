@@ -29,13 +29,7 @@ class Tabular:
         raise NotImplementedError
 
     def to_pandas(self) -> pandas.DataFrame:
-        """Return the result as a data frame of pandas (extra ``frames``), with units in ``attrs["units"]``.
-
-        Raises
-        ------
-        DependencyMissing
-            pandas is not installed.
-        """
+        """Return the result as a data frame of pandas (extra ``frames``), with units in ``attrs["units"]``."""
         from robustlab.files.records import need
 
         need(f"{type(self).__name__}.to_pandas", "pandas", "frames")

@@ -46,7 +46,6 @@ def _bare(unit: str) -> str:
 
 
 def same_unit(one: str, other: str) -> bool:
-    """Return whether two texts are one unit."""
     return _bare(one) == _bare(other)
 
 
@@ -63,9 +62,8 @@ def factor_between(unit: str, wanted: str) -> float | None:
     """Return the factor from a number in ``unit`` to ``wanted``; None if the units measure different quantities."""
     if same_unit(unit, wanted):
         return 1.0
-    found = unit_family(wanted)
-    size = next((s for name, s in found[0].items() if same_unit(name, unit)), None) if found else None
-    return None if found is None or size is None else size / found[1]
+    there, here = unit_family(wanted), unit_family(unit)
+    return None if here is None or there is None or here[0] is not there[0] else here[1] / there[1]
 
 
 def factor_to_si(unit: str) -> tuple[float, str]:

@@ -282,7 +282,7 @@ def compare(
     Example: robustlab report compare out/first-light out/first-light-seed-7
     """
     from robustlab.recipe.run import read_result
-    from robustlab.report.run_comparison import compare_runs
+    from robustlab.report.html import compare_runs
 
     found = compare_runs(read_result(run1), read_result(run2), rtol)
     emit("report compare", {"runs": [run1, run2], **found}, _comparison(found, rtol), as_json)

@@ -13,7 +13,7 @@ from robustlab.files.atomic import atomic_write
 from robustlab.files.isolation import read_isolated, reader
 from robustlab.files.matlab import from_matlab73
 from robustlab.files.signature import MIB, Limits, content_of
-from robustlab.files.tree import Dataset, Tree, Unread, canonical
+from robustlab.files.tree import Tree, Unread, canonical
 
 COMPRESS_FROM = 64 << 10  # bytes
 MAX_ATTRIBUTE_TEXT = 60_000  # bytes; HDF5 keeps attributes in a header of 64 KiB
@@ -45,23 +45,20 @@ def write_tree(path: str | Path, tree: Tree) -> Path:
 def _write_group(target: Any, tree: Tree) -> None:
     _write_attributes(target, tree.attrs, tree.path)
     for name, dataset in tree.datasets.items():
-        _write_dataset(target, name, dataset, tree.child_path(name))
+        path = tree.child_path(name)
+        if isinstance(dataset.values, Unread):
+            raise InputError(path, f"values of type {dataset.values.dtype}", "numbers or text")
+        values = _storable(canonical(dataset.values, path))
+        options: dict[str, Any] = {}
+        if values.size and values.ndim:
+            options["fletcher32"] = True
+            if values.nbytes <= MIB:
+                options["chunks"] = values.shape
+            if values.nbytes >= COMPRESS_FROM:
+                options.update(compression="gzip", compression_opts=4, shuffle=True)
+        _write_attributes(target.create_dataset(name, data=values, **options), dataset.attrs, path)
     for name, group in tree.groups.items():
         _write_group(target.create_group(name), group)
-
-
-def _write_dataset(target: Any, name: str, dataset: Dataset, path: str) -> None:
-    if isinstance(dataset.values, Unread):
-        raise InputError(path, f"values of type {dataset.values.dtype}", "numbers or text")
-    values = _storable(canonical(dataset.values, path))
-    options: dict[str, Any] = {}
-    if values.size and values.ndim:
-        options["fletcher32"] = True
-        if values.nbytes <= MIB:
-            options["chunks"] = values.shape
-        if values.nbytes >= COMPRESS_FROM:
-            options.update(compression="gzip", compression_opts=4, shuffle=True)
-    _write_attributes(target.create_dataset(name, data=values, **options), dataset.attrs, path)
 
 
 def _write_attributes(target: Any, attrs: dict[str, Any], path: str) -> None:

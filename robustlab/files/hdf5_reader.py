@@ -21,8 +21,8 @@ from robustlab.errors import InputError
 from robustlab.files.signature import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
-# id -> name of the filters built into HDF5 or h5py; no plugin is loaded.
-KNOWN_FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 5: "nbit", 6: "scaleoffset", 32000: "lzf"}
+# Filters built into HDF5 or h5py: deflate, shuffle, fletcher32, nbit, scaleoffset, lzf; no plugin is loaded.
+KNOWN_FILTERS = (1, 2, 3, 5, 6, 32000)
 # Deflate compresses by 1032 at most; a larger factor means a hostile file.
 MAX_EXPANSION = 2000
 MAX_ATTRIBUTE = 1 << 20
@@ -192,18 +192,14 @@ def _may_be_read(walk: _Walk, did: h5d.DatasetID, plist: Any, path: str, kind: s
     chunk = math.prod(plist.get_chunk()) * stated if plist.get_layout() == h5d.CHUNKED else 0
     stored, size = did.get_storage_size(), " x ".join(str(n) for n in shape)
     total = walk.total + declared
+    grown = f"declares {size_text(declared)} in {stored} stored bytes: made to grow when it is read"
+    whole = f"with this dataset {size_text(total)} in all, limit {size_text(walk.limits.total)}"
     for too_much, text in (
         (declared > limit, f"declares {size} ({size_text(declared)}), limit {size_text(limit)}"),
         (chunk > limit, f"chunks of {size_text(chunk)} in memory, limit {size_text(limit)}"),
         (declared and not stored, f"declares {size or 'a number'}, but no values are stored"),
-        (
-            declared > max(limit // 64, MAX_EXPANSION * stored),
-            f"declares {size_text(declared)} in {stored} stored bytes: made to grow when it is read",
-        ),
-        (
-            total > walk.limits.total,
-            f"with this dataset {size_text(total)} in all, limit {size_text(walk.limits.total)}",
-        ),
+        (declared > max(limit // 64, MAX_EXPANSION * stored), grown),
+        (total > walk.limits.total, whole),
     ):
         if too_much:
             walk.problem(path, text)

@@ -55,7 +55,6 @@ READERS = {
 
 
 def send_tree(stream: BinaryIO, tree: Tree) -> None:
-    """Write ``tree`` to ``stream``."""
     arrays: list[np.ndarray[Any, Any]] = []
 
     def value(values: Any) -> list[Any]:
@@ -66,15 +65,13 @@ def send_tree(stream: BinaryIO, tree: Tree) -> None:
         arrays.append(values.astype(DTYPES[values.dtype.kind], copy=False))
         return [DTYPES[values.dtype.kind], None, list(values.shape)]
 
+    def attributes(of: Tree | Dataset) -> dict[str, Any]:
+        return {name: value(item) for name, item in of.attrs.items()}
+
     def node(tree: Tree) -> dict[str, Any]:
-        return {
-            "attrs": {name: value(item) for name, item in tree.attrs.items()},
-            "datasets": {
-                name: [value(d.values), {key: value(item) for key, item in d.attrs.items()}]
-                for name, d in tree.datasets.items()
-            },
-            "groups": {name: node(group) for name, group in tree.groups.items()},
-        }
+        attrs = attributes(tree)  # the arrays follow in this order
+        datasets = {name: [value(d.values), attributes(d)] for name, d in tree.datasets.items()}
+        return {"attrs": attrs, "datasets": datasets, "groups": {name: node(g) for name, g in tree.groups.items()}}
 
     send(stream, {"tree": node(tree)})
     for array in arrays:
@@ -152,7 +149,6 @@ def limit_resources(kind: str, limits: Limits, size: int) -> None:
 
 
 def reader(kind: str) -> Callable[..., Tree]:
-    """Return the function that reads a kind of file."""
     module, name = READERS[kind]
     return getattr(import_module(module), name)
 
@@ -259,17 +255,15 @@ class ReaderServer:
         return self.process
 
     def close(self) -> None:
-        """End the process."""
         process, self.process = self.process, None
         if process is None:
             return
         ours = self._owner == os.getpid()
         if ours:
             process.kill()
-        for stream in (process.stdin, process.stdout):
+        for stream in filter(None, (process.stdin, process.stdout)):
             with suppress(OSError):
-                if stream is not None:
-                    stream.close()
+                stream.close()
         if ours:
             process.wait()
         else:

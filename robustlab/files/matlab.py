@@ -24,9 +24,6 @@ OPAQUE_FIELDS = ("s0", "s1", "s2", "arr")  # of an object in scipy: variable, sy
 BYTES_OF_VALUE = {"struct": 400, "object": 400}
 
 
-# --- version 5 -------------------------------------------------------------------------------------------------------
-
-
 def read_matlab5(path: str, limits: Limits, shown: str | None = None) -> Tree:
     """Read the variables of a version 5 file; a struct becomes a group, a cell array of texts a text dataset."""
     from scipy.io import loadmat, whosmat
@@ -79,8 +76,8 @@ def _variable(tree: Tree, name: str, value: Any, limits: Limits, depth: int) -> 
 
 def _matlab_values(array: AnyArray) -> Any:
     if array.dtype.kind in "fiucbU":
-        wanted = np.float64 if array.dtype.kind in "fiu" else np.complex128 if array.dtype.kind == "c" else None
-        return array.astype(wanted or array.dtype)
+        wanted = {"c": np.complex128, "b": array.dtype, "U": array.dtype}.get(array.dtype.kind, np.float64)
+        return array.astype(wanted)
     if array.dtype.kind == "O":
         cells = [np.asarray(item) for item in array.ravel().tolist()]
         if all(cell.dtype.kind == "U" and cell.size <= 1 for cell in cells):
@@ -94,9 +91,6 @@ def _matlab_values(array: AnyArray) -> Any:
 
 def _latin(text: Any) -> str:
     return text.decode("latin-1") if isinstance(text, bytes) else str(text)
-
-
-# --- version 7.3 -----------------------------------------------------------------------------------------------------
 
 
 def from_matlab73(tree: Tree) -> Tree:

@@ -35,7 +35,6 @@ from robustlab.files.tree import (
     canonical,
     check_header,
     is_stamped,
-    link_name,
     one_number,
     signal_name,
     text_attr,
@@ -104,7 +103,6 @@ class Source:
 
 
 def one_of(word: str, names: Sequence[str]) -> str:
-    """Return ``word`` and the first dozen of the names."""
     shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
     return f"{word} {shown}" if names else "a file with signals"
 
@@ -135,8 +133,6 @@ def read_record(
         return choose(Source(where, Path(path).stem, "", channels), **choice)
     tree = read_tree(path, group, limits, isolate)
     if is_stamped(tree):
-        if group:
-            raise InputError(where, f"group {group!r} of a format 1 file", "no group: such a file holds one object")
         kind, remarks = check_header(tree, no_verify)
         if kind != "record":
             raise InputError(where, f"holds an object of kind {kind}", "a record", "robustlab model show FILE")
@@ -147,30 +143,20 @@ def read_record(
         known = tree.group_names()
         hint = did_you_mean(group or "", known)
         raise InputError(where, f"missing group /{group}", one_of("one of", known), hint)
+    return record_of_group(path, tree, node, group, **choice)
+
+
+def record_of_group(path: str | Path, tree: Tree, node: Tree, group: str | None, **choice: Any) -> dict[str, Any]:
+    """Return the arguments of the record in a group of a file, in the layout of format 1 or any other."""
+    if group and is_stamped(tree):
+        raise InputError(str(path), f"group {group!r} of a format 1 file", "no group: such a file holds one object")
     if set(SIDES) & set(node.groups):
-        choice["allow_gaps"] = True
-        return choose(_stored(node, where), **choice)
+        return stored_record(node, str(path), **choice)
     return choose(_of_tree(path, tree, node, group), **choice)
 
 
-def encode_record(tree: Tree, record: Any) -> None:
-    """Write a Record into ``tree``."""
-    tree.attrs["name"] = record.name
-    tree.put("t", record.t, unit="s", **({"meaning": record.meaning["t"]} if "t" in record.meaning else {}))
-    for side in SIDES:
-        for position, (name, values) in enumerate(getattr(record, side).items()):
-            attrs = {"unit": record.units.get(name, ""), "meaning": record.meaning.get(name, ""), "position": position}
-            tree.group(side).put(link_name(name), values, **attrs)
-        tree.group(side)
-
-
-def decode_record(node: Tree, where: str) -> dict[str, Any]:
-    """Invert `encode_record`."""
-    return choose(_stored(node, where), allow_gaps=True)
-
-
-def _stored(node: Tree, where: str) -> Source:
-    """Return the source of a record in the layout of format 1."""
+def stored_record(node: Tree, where: str, **choice: Any) -> dict[str, Any]:
+    """Return the arguments of a record in the layout of format 1."""
     if "t" not in node.datasets:
         raise InputError(where, f"missing {node.child_path('t')}", "the times of a record")
     source = Source(where, text_attr(node.attrs, "name") or "record", node.child_path(""), {})
@@ -189,7 +175,8 @@ def _stored(node: Tree, where: str) -> Source:
     clock = _datasets(node)["t"]
     source.notes, clock.meaning = clock.meaning.splitlines(), ""
     source.add_clock("t", clock)
-    return source
+    choice["allow_gaps"] = True
+    return choose(source, **choice)
 
 
 def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Source:
@@ -204,8 +191,7 @@ def _of_tree(path: str | Path, tree: Tree, node: Tree, group: str | None) -> Sou
     clocks: dict[str, Array | None] = {}
     for name, channel, times in _logs(node, ""):
         channels[name], clocks[channel.clock] = channel, times.astype(np.float64) if len(times) else None
-    stem = Path(path).stem
-    name = f"{stem}/{group.strip('/')}" if group else stem
+    name = Path(path).stem + (f"/{group.strip('/')}" if group else "")
     return Source(str(path), name, node.child_path(""), channels, own, groups=tree.group_names(), clocks=clocks)
 
 
@@ -249,7 +235,11 @@ def _logs(node: Tree, prefix: str) -> Iterator[tuple[str, Channel, AnyArray]]:
 
 def _log(node: Tree) -> tuple[str, list[tuple[str, str, AnyArray | Unread]]]:
     """Return the name of a log's times, and label, unit and values of its signals; no signals if it is no log."""
-    times = _times_of(node)
+    times = ""
+    for name, item in node.datasets.items():  # MATLAB's logs are in s, without a unit
+        numbers = isinstance(item.values, np.ndarray) and item.values.dtype.kind in "fi"
+        if numbers and "unit" not in item.attrs and name.lower() in TIMES:
+            times = times or name
     if not times:
         return "", []
     signals = node.groups.get("signals")
@@ -267,16 +257,6 @@ def _log(node: Tree) -> tuple[str, list[tuple[str, str, AnyArray | Unread]]]:
     name = _text(node, "Name") or _text(node, "name") or own[0]
     unit = _text(node, "Units") or _text(node, "unit") or _text(node.groups.get("DataInfo", Tree()), "Units")
     return times, [(name, unit, found[own[0]])]
-
-
-def _times_of(node: Tree) -> str:
-    """Return the name of a log's times, which have no unit: MATLAB's logs are in s."""
-    for name, dataset in node.datasets.items():
-        values = dataset.values
-        known = isinstance(values, np.ndarray) and values.dtype.kind in "fi" and "unit" not in dataset.attrs
-        if known and name.lower() in TIMES:
-            return name
-    return ""
 
 
 def _columns(where: str, name: str, values: AnyArray | Unread, n: int) -> Iterator[tuple[str, AnyArray | Unread]]:
@@ -298,9 +278,6 @@ def _text(node: Tree, name: str) -> str:
     return (text_attr({key: item.values for key, item in node.datasets.items()}, name) or "").strip()
 
 
-# --- choosing --------------------------------------------------------------------------------------------------------
-
-
 def choose(
     source: Source,
     inputs: Sequence[str] | None = None,
@@ -320,11 +297,10 @@ def choose(
     units, known = dict(units or {}), list(source.channels)
     # With dt given the file's times are not used, and a column of that name is no signal.
     clock = clock or source.clock or next((name for name in CLOCK_NAMES if name in known), None)
-    stated = source.inputs or source.outputs
     alone = inputs is None and outputs is None
     ins = _named(source.inputs if inputs is None else inputs, known)
     outs = _named(source.outputs if alone else outputs, known)
-    if outputs is None and not (alone and stated):
+    if outputs is None and not (alone and (source.inputs or source.outputs)):
         # Those of the source's own time base, or without one all logs.
         own, logged = ([n for n, c in source.channels.items() if bool(c.clock) is log] for log in (False, True))
         usual = own if not logged or clock in own or (own and (dt or source.dt)) else logged
@@ -409,9 +385,6 @@ def _numbers(source: Source, name: str) -> Array:
     if bad is not None:
         raise InputError(f"{where}[{bad[0]}]", bad[1], "finite numbers")
     return array
-
-
-# --- clocks -----------------------------------------------------------------------------------------------------------
 
 
 def _on_one_clock(
@@ -546,7 +519,6 @@ def _clock(source: Source, name: str, note: bool) -> Array:
 
 
 def need(where: str, package: str, extra: str) -> None:
-    """Raise where an optional package is not installed."""
     if importlib.util.find_spec(package) is None:
         raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
 
@@ -590,7 +562,7 @@ def keywords_of_frame(
     for k, name in enumerate(names):
         values, unit = _values(frame.iloc[:, k])
         source.channels[name] = Channel(values, unit or str(stated.get(name, "")), str(meaning.get(name, "")))
-    for side in ("inputs", "outputs"):
+    for side in SIDES:
         given = attrs.get(side)
         getattr(source, side).extend([n for n in given if n in names] if isinstance(given, list) else [])
     if "t" in meaning:
@@ -601,7 +573,7 @@ def keywords_of_frame(
     elif not any(name in names for name in CLOCK_NAMES):
         hint = "frame.index = dt * numpy.arange(len(frame)), or a column t"
         raise InputError(where, "rows are numbered, and no column is a clock", "an index of times in s", hint)
-    # Gaps are allowed; `check_record` reports them.
+    # `check_record` reports gaps.
     return choose(source, inputs, outputs, units=units, allow_gaps=True)
 
 

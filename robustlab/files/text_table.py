@@ -201,15 +201,13 @@ def read_response(
         """Return a column in a required unit, or in the units of the signals."""
         unit = unit_of[name]
         found = f"column {name!r} " + (f"in {unit!r}" if unit else "without a unit")
-        if wanted:
-            factor = factor_between(unit, wanted) if unit else None
-            if factor is None:
-                raise InputError(where, found, expected, f"write {name} [{wanted}] into the header, or give its unit")
-            return factor * values[name]
-        if unit not in ("", "1"):
+        if not wanted and unit not in ("", "1"):
             words = ", or dB" if name.endswith("magnitude") else ""
             raise InputError(where, found, f"numbers in the units of the signals, so none{words}")
-        return values[name]
+        factor = 1.0 if not wanted else factor_between(unit, wanted) if unit else None
+        if factor is None:
+            raise InputError(where, found, expected, f"write {name} [{wanted}] into the header, or give its unit")
+        return factor * values[name]
 
     def response(channel: str, parts: Mapping[str, str]) -> ComplexArray:
         """Return the response from real and imaginary part, or from magnitude and phase."""

@@ -50,7 +50,6 @@ class Tree:
     file: str = "file"  # name of the file in messages
 
     def child_path(self, name: str) -> str:
-        """Return the path of a child."""
         return f"{self.path.rstrip('/')}/{name}"
 
     def group(self, name: str) -> Tree:
@@ -85,7 +84,6 @@ class Tree:
 
 
 def type_name(values: AnyArray | Unread) -> str:
-    """Return the name of the type of a dataset's values for messages."""
     return "text" if isinstance(values, np.ndarray) and values.dtype.kind == "U" else str(values.dtype)
 
 
@@ -93,7 +91,7 @@ def canonical(values: Any, where: str) -> AnyArray:
     """Return ``values`` as a C-ordered array of a type of format 1: float64, int64, bool, complex128, or text."""
     array = np.asarray(values)
     kind = array.dtype.kind
-    if kind in "O" and array.size == 0:
+    if kind == "O" and array.size == 0:
         return np.zeros(array.shape, np.str_)
     if kind == "u" and array.size and int(array.max()) > np.iinfo(np.int64).max:
         raise InputError(where, "a whole number beyond 64 bits", "a smaller number")
@@ -208,10 +206,8 @@ def decode_provenance(tree: Tree) -> Provenance | None:
 
 def is_stamped(tree: Tree) -> bool:
     """Return whether the file has the header of format 1."""
-    return (
-        any(name in tree.attrs for name in ("format_version", "content_sha256"))
-        or text_attr(tree.attrs, "format") == FORMAT
-    )
+    known = {"format_version", "content_sha256"} & set(tree.attrs)
+    return bool(known) or text_attr(tree.attrs, "format") == FORMAT
 
 
 def check_header(tree: Tree, no_verify: bool = False) -> tuple[str, list[str]]:

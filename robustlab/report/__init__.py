@@ -8,8 +8,9 @@ __all__, __getattr__ = lazily(
         "style": "COLOURS house_style logarithmic new_figure save_figure",
         "html": "in_words junit_xml render verdict",
         "drawings": "DRAWINGS drawings_of pictures_of",
-        "robustness_figures": "distribution_figure influence_figure mu_figure response_figure",
-        "set_figures": "cloud_figure weight_figure",
+        "robustness_figures": (
+            "cloud_figure distribution_figure influence_figure mu_figure response_figure weight_figure"
+        ),
         "discovery": "write_page",
     },
 )

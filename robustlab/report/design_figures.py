@@ -55,8 +55,7 @@ def functions_figure(
         _over_frequency(axes, omega, [gain], 4.0, bounds)
         axes.set_title(heading)
     axes_list[0].set_ylabel("largest singular value")
-    style.legend_below(figure, axes_list)
-    return figure
+    return style.legend_below(figure, axes_list)
 
 
 def _over_frequency(
@@ -136,8 +135,7 @@ def performance_picture(found: PerformanceComparison) -> Figure:
     axes.axhline(1.0, color=style.LIMIT, ls=style.DASHED, lw=1.2, label="1: requirement met by every member")
     style.frequency_axis(axes, (omega[0], omega[-1]))
     axes.set(ylim=(0, 1.1 * top), ylabel="μ of robust performance")
-    style.legend_below(figure, (axes,), 2)
-    return figure
+    return style.legend_below(figure, (axes,), 2)
 
 
 @style.house_style()
@@ -155,8 +153,7 @@ def runs_picture(found: ControlledRuns) -> Figure:
         elif panel.limit is not None:
             axes.set_title(f"the limit of {panel.limit:g} is beyond this panel", fontsize=8.5, fontweight="normal")
     axes_list[-1].set_xlabel("time [s]")
-    style.legend_below(figure, axes_list)
-    return figure
+    return style.legend_below(figure, axes_list)
 
 
 def functions_picture(design: Synthesis) -> Figure:

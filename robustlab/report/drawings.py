@@ -46,16 +46,16 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "GainAt": {"gain": "robustness_figures.bounds_at"},
     "DiskMarginAt": {"margin": "robustness_figures.bounds_at"},
     **dict.fromkeys(("DiskBounds", "DiskMargins"), _DISK),
-    "Cover": {"set": "set_figures.cover_figure"},
-    "Overbound": {"weight": "set_figures.overbound_figure"},
+    "Cover": {"set": "robustness_figures.cover_figure"},
+    "Overbound": {"weight": "robustness_figures.overbound_figure"},
     # members
-    "Responses": {"step": "set_figures.band_figure"},
-    "WorstCase": {"delta": "set_figures.member_figure", "response": "robustness_figures.worst_case_figure"},
+    "Responses": {"step": "robustness_figures.band_figure"},
+    "WorstCase": {"delta": "robustness_figures.member_figure", "response": "robustness_figures.worst_case_figure"},
     "ViolationProbability": {
         "distribution": "robustness_figures.distribution_figure",
         "influence": "robustness_figures.violation_influence",
     },
-    "CampaignResult": {"delta": "set_figures.member_figure"},
+    "CampaignResult": {"delta": "robustness_figures.member_figure"},
     # designs
     **dict.fromkeys(("Synthesis", "HinfSynthesis", "H2Synthesis", "NcfSynthesis"), _LOOP),
     **dict.fromkeys(("FixedSynthesis", "TunedSynthesis", "ReducedController", "DKSynthesis"), _LOOP),
@@ -65,15 +65,15 @@ DRAWINGS: Mapping[str, Mapping[str, str]] = {
     "SampledController": {"loop": "design_figures.loop_picture"},
     "LoopFunctions": {"functions": "design_figures.gangs_picture"},
     # measurements
-    "Comparison": {name: f"comparison_figures.{name}_figure" for name in ("where", "time", "speed")},
+    "Comparison": {name: f"discovery.{name}_figure" for name in ("where", "time", "speed")},
     "Discovery": {
         "gap": "discovery.gap_figure",
         "force": "discovery.force_of",
         "run": "discovery.free_run_figure",
     },
-    "Validation": {"record": "set_figures.validation_figure"},
-    "DataCover": {"record": "set_figures.cover_record"},
-    "EnvelopeCoverage": {"envelope": "set_figures.envelope_figure"},
+    "Validation": {"record": "robustness_figures.validation_figure"},
+    "DataCover": {"record": "robustness_figures.cover_record"},
+    "EnvelopeCoverage": {"envelope": "robustness_figures.envelope_figure"},
 }
 
 # Class -> attribute with its outputs (names, or pairs that begin with one), each of which is drawn.

@@ -1,4 +1,4 @@
-"""The report of a run: a self-contained HTML page, and its requirements as JUnit tests for a CI system.
+"""The report of a run: an HTML page, its requirements as JUnit tests for a CI system, the comparison of two runs.
 
 All texts are untrusted: Jinja2 escapes them, control and bidirectional-override characters are shown as escapes,
 figures are images in ``data:`` addresses, and no script may run.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -66,12 +66,10 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
         detail = f"These steps ended without one: {doubtful}. {count}."
         return Verdict("bad", "✗", "No trustworthy number", detail)
     if unmet:
-        words = []
-        for n, one, more in (
-            (sum(not q["why_not"] for q in unmet), "requirement is not met", "requirements are not met"),
-            (sum(bool(q["why_not"]) for q in unmet), "requirement cannot be judged", "requirements cannot be judged"),
-        ):
-            words += [f"{n} {one if n == 1 else more}"] if n else []
+        open_ones = sum(bool(q["why_not"]) for q in unmet)
+        failed = len(unmet) - open_ones
+        words = [f"{failed} requirement{' is' if failed == 1 else 's are'} not met"] if failed else []
+        words += [f"{open_ones} requirement{'s' * (open_ones > 1)} cannot be judged"] if open_ones else []
         return Verdict("bad", "✗", ", ".join(words), f"{count}; {trusted}")
     if not requirements:
         return Verdict("warn", "–", "Done; no requirement was stated", trusted.capitalize())
@@ -79,8 +77,7 @@ def verdict(result: Mapping[str, Any]) -> Verdict:
     remains = ", ".join(s["name"] for s in result["steps"] if tone(s) == "warn")
     if remains:
         return Verdict("warn", "!", f"{headline}; something remains", f"What these steps found is not all: {remains}.")
-    windows = in_windows_only(requirements)
-    if windows:
+    if windows := in_windows_only(requirements):
         return Verdict("warn", "!", f"{headline}; in free run the model is further off", " ".join(windows))
     return Verdict("good", "✓", headline, trusted.capitalize())
 
@@ -91,8 +88,7 @@ def ending_of(result: Mapping[str, Any]) -> Mapping[str, str]:
 
 
 def _unfinished(result: Mapping[str, Any]) -> Verdict:
-    ending = ending_of(result)
-    how, message = ending["how"], ending["message"]
+    how, message = (ending_of(result)[key] for key in ("how", "message"))
     if how == "running":
         detail = f"Run {message}. If it is not running any more, it was ended from outside and gave no result."
         return Verdict("bad", "✗", "This run has not finished", detail)
@@ -131,7 +127,7 @@ def render(result: Mapping[str, Any], folder: str | Path) -> str:
             found=found_in_words,
             became=verdict_of,
             heading=heading,
-            paragraphs=_paragraphs,
+            paragraphs=lambda text: [" ".join(part.split()) for part in text.split("\n\n") if part.strip()],
             status_meaning=_status_meaning,
             tone=tone,
             leading=leading_figures(readable),
@@ -149,9 +145,8 @@ def _template() -> Template:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("robustlab.report", "")
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
+    options: dict[str, Any] = {"trim_blocks": True, "lstrip_blocks": True}
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **options)
     environment.filters["pretty"] = _pretty
     return environment.get_template("page.html.j2")
 
@@ -196,7 +191,6 @@ def leading_figures(result: Mapping[str, Any]) -> dict[str, tuple[str, Any]]:
 
 
 def heading(step: Mapping[str, Any]) -> str:
-    """Return the title of a step, by default its name as words."""
     name = step["name"].replace("_", " ").replace("-", " ")
     return step["title"] or name[:1].upper() + name[1:]
 
@@ -217,14 +211,9 @@ def _with_unit(requirement: Mapping[str, Any], value: Any) -> str:
 
 
 def verdict_of(requirement: Mapping[str, Any]) -> str:
-    """Return the judgement of a requirement as text."""
     if requirement["met"]:
         return "met"
     return "cannot be judged" if requirement["why_not"] else "not met"
-
-
-def _paragraphs(text: str) -> list[str]:
-    return [" ".join(part.split()) for part in text.split("\n\n") if part.strip()]
 
 
 def _status_meaning(step: Mapping[str, Any]) -> str:
@@ -243,27 +232,19 @@ def _pretty(numbers: Any) -> str:
 
 
 def _pictures(folder: Path, result: Mapping[str, Any]) -> dict[str, Markup]:
-    """Return the figures of a run by stem as ``data:`` addresses, up to `MAX_FIGURES`."""
+    """Return the figures of a run by stem as ``data:`` addresses for an attribute, up to `MAX_FIGURES`."""
     room, found = MAX_FIGURES, {}
     for stem in dict.fromkeys(f["stem"] for step in result["steps"] for f in step["figures"]):
-        text = _address(_svg(folder, stem))
-        if len(text) <= room:
-            found[stem] = text
-            room -= len(text)
+        path = folder / "figures" / f"{stem}.svg"
+        if Path(stem).name != stem or not path.is_file():
+            raise InputError(str(path), "no such figure", "the figures of the run in the folder of its result.json")
+        svg = path.read_bytes().decode("utf-8", errors="replace").encode()
+        text = _NOT_PLAIN.sub(lambda character: b"%%%02X" % ord(character[0]), svg).decode("ascii")
+        address = Markup(f"data:image/svg+xml,{text}")  # noqa: S704 - nothing in it can end the attribute
+        if len(address) <= room:
+            found[stem] = address
+            room -= len(address)
     return found
-
-
-def _address(svg: str) -> Markup:
-    """Return a picture as an address for an attribute in single quotes, with special characters as %xx."""
-    text = _NOT_PLAIN.sub(lambda found: b"%%%02X" % ord(found[0]), svg.encode()).decode("ascii")
-    return Markup(f"data:image/svg+xml,{text}")  # noqa: S704 - nothing in it can end the attribute
-
-
-def _svg(folder: Path, stem: str) -> str:
-    path = folder / "figures" / f"{stem}.svg"
-    if Path(stem).name != stem or not path.is_file():
-        raise InputError(str(path), "no such figure", "the figures of the run in the folder of its result.json")
-    return path.read_bytes().decode("utf-8", errors="replace")
 
 
 def junit_xml(result: Mapping[str, Any]) -> str:
@@ -294,3 +275,119 @@ def junit_xml(result: Mapping[str, Any]) -> str:
             ET.SubElement(case, kind, {"message": plain_text(str(reason))})
     ET.indent(suites)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
+
+
+# --- comparison of two runs -------------------------------------------------------------------------------------------
+
+BETTER, WORSE, SAME, CHANGED, FRESH, GONE = "better", "WORSE", "same", "changed", "new", "gone"
+
+
+def compare_runs(first: Mapping[str, Any], second: Mapping[str, Any], tolerance: float = 0.01) -> dict[str, Any]:
+    """Return the differences of two ``result.json``; numbers within the relative ``tolerance`` are equal.
+
+    A requirement got worse if it was met and is not or is no longer stated, or if its number moved towards or beyond
+    its limit; a step, if its number is no longer trustworthy. ``numbers`` are sorted by the size of the change.
+    """
+    old, new = ({_key(q, run): q for q in run["requirements"]} for run in (first, second))
+    requirements = [_requirement(a, b, tolerance) for a, b in _paired(old, new).values()]
+    old, new = ({s["name"]: s for s in run["steps"]} for run in (first, second))
+    steps = [_step(name, a, b) for name, (a, b) in _paired(old, new).items()]
+    old, new = (dict(_leaves("", {s["name"]: s["numbers"] for s in run["steps"]})) for run in (first, second))
+    numbers = [
+        _row(path, a, b, FRESH if a is None else GONE if b is None else CHANGED)
+        for path, (a, b) in _paired(old, new).items()
+        if _change(a, b) > tolerance
+    ]
+    numbers.sort(key=lambda c: -_change(c["first"], c["second"]))
+    settings = [
+        _row(key, a, b, CHANGED) for key, (a, b) in _paired(_settings(first), _settings(second)).items() if a != b
+    ]
+    return {
+        "requirements": requirements, "steps": steps, "numbers": numbers, "settings": settings,
+        "equal_numbers": len({**old, **new}) - len(numbers),
+        "worse": sum(c["verdict"] == WORSE for c in (*requirements, *steps)),
+    }  # fmt: skip
+
+
+def _row(what: str, first: Any, second: Any, verdict: str, condition: str = "", why: str = "") -> dict[str, Any]:
+    return {"what": what, "first": first, "second": second, "verdict": verdict, "condition": condition, "why": why}
+
+
+def _key(requirement: Mapping[str, Any], run: Mapping[str, Any]) -> str:
+    """Return the number that a requirement names, with the condition if it is named twice."""
+    count = [q["that"] for q in run["requirements"]].count(requirement["that"])
+    return requirement["that"] if count == 1 else f"{requirement['that']} {requirement['condition']}"
+
+
+def _requirement(a: Mapping[str, Any] | None, b: Mapping[str, Any] | None, tolerance: float) -> dict[str, Any]:
+    of = b or a or {}
+    first, second = (None if q is None else found_in_words(q) for q in (a, b))
+    if a is None or b is None:
+        gone = (WORSE, "was met and is no longer stated") if of["met"] else (GONE, "no longer stated")
+        verdict, why = gone if b is None else (FRESH, "met" if of["met"] else "not met")
+    elif a["met"] != b["met"]:
+        verdict, why = (BETTER, "now met") if b["met"] else (WORSE, "was met, is not")
+    else:
+        verdict, why = SAME, "met" if b["met"] else "not met"
+        towards = _towards_limit(a, b) if a["condition"] == b["condition"] else 0.0
+        if towards and _change(a["value"], b["value"]) > tolerance:
+            words = ("with less room", "with more room") if b["met"] else ("and further off", "but nearer")
+            verdict, why = WORSE if towards > 0 else BETTER, f"{why}, {words[towards < 0]}"
+    return _row(of["text"] or of["that"], first, second, verdict, of["condition"], why)
+
+
+def _towards_limit(a: Mapping[str, Any], b: Mapping[str, Any]) -> float:
+    """Return how far a number moved towards or beyond its limit; 0 inside a range."""
+    x, y = _real(a["value"]), _real(b["value"])
+    low, high = (_real(end) for end in b.get("limits") or (None, None))
+    if x is None or y is None or (low is None and high is None):
+        return 0.0
+    if low is not None and high is not None:
+        return max(low - y, y - high, 0.0) - max(low - x, x - high, 0.0)
+    return x - y if low is not None else y - x
+
+
+def _step(name: str, a: Mapping[str, Any] | None, b: Mapping[str, Any] | None) -> dict[str, Any]:
+    was, now = (None if s is None else s["status"] for s in (a, b))
+    if a is None or b is None:
+        return _row(name, was, now, FRESH if a is None else GONE)
+    change = b["trustworthy"] - a["trustworthy"]
+    return _row(name, was, now, (SAME if was == now else CHANGED, BETTER, WORSE)[change])
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield path and value of every number, text and boolean but times."""
+    items = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else None
+    if items is None:
+        yield path, value
+        return
+    for key, item in items:
+        if key != "seconds":
+            yield from _leaves(f"{path}.{key}".lstrip("."), item)
+
+
+def _settings(run: Mapping[str, Any]) -> dict[str, str]:
+    recipe, made = run["recipe"], run["provenance"]
+    found = {"recipe": recipe["name"], "recipe text (SHA-256)": recipe["sha256"][:12], "seed": str(run["seed"])}
+    found |= {f"--set {key}": str(value) for key, value in recipe["overrides"].items()}
+    found |= {f"input {name} (SHA-256)": str(digest)[:12] for name, digest in made["inputs"].items()}
+    return found | {f"version of {name}": str(version) for name, version in made["versions"].items()}
+
+
+def _paired(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the entries of both in the order of the second; those of the first alone come last."""
+    return {key: (first.get(key), second.get(key)) for key in {**second, **first}}
+
+
+def _real(value: Any) -> float | None:
+    """Return a number, also the infinities that plain results hold as texts, or None."""
+    known = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if known or value in ("inf", "-inf", "nan") else None
+
+
+def _change(a: Any, b: Any) -> float:
+    """Return the relative size of a change; infinite for different values that are not finite numbers."""
+    x, y = _real(a), _real(b)
+    if a == b or x is None or y is None or not (math.isfinite(x) and math.isfinite(y)):
+        return 0.0 if a == b else math.inf
+    return abs(x - y) / max(abs(x), abs(y))

@@ -73,9 +73,10 @@ def bode_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, se
         i, j = divmod(k, columns)
         above, below = panels[2 * i * columns + j], panels[(2 * i + 1) * columns + j]
         curves = responses[:, :, i, j]
-        seen = np.abs(curves) > 0
+        seen, phases = np.abs(curves) > 0, np.degrees(np.unwrap(np.angle(curves), axis=1))
+        phases -= 360.0 * np.round((phases[:, :1] - phases[:1, :1]) / 360.0)  # on the branch of the nominal one
         _curves(above, w, np.where(seen, np.abs(curves), np.nan))
-        _curves(below, w, np.where(seen, _phases(curves), np.nan))
+        _curves(below, w, np.where(seen, phases, np.nan))
         if not seen.any():
             above.text(0.5, 0.5, "no response", ha="center", va="center", transform=above.transAxes)
         style.logarithmic(above.yaxis)
@@ -108,8 +109,7 @@ def sigma_figure(shown: Any, omega: ArrayLike | None = None, n: int = MEMBERS, s
     style.logarithmic(axes.yaxis)
     style.frequency_axis(axes, (w[0], w[-1]))
     axes.set_ylabel(style.axis_label("singular values", units.pop() if len(units) == 1 else "mixed units"))
-    style.legend_below(figure, (axes,))
-    return figure
+    return style.legend_below(figure, (axes,))
 
 
 @style.house_style()
@@ -138,11 +138,7 @@ def pole_figure(shown: Any, n: int = MEMBERS, seed: int = 0) -> Figure:
     unit = "" if model.dt else "rad/s"
     axes.set(xlabel=style.axis_label("real part", unit), ylabel=style.axis_label("imaginary part", unit))
     axes.margins(0.12)
-    style.legend_below(figure, (axes,), 4)
-    return figure
-
-
-# --- curves -----------------------------------------------------------------------------------------------------------
+    return style.legend_below(figure, (axes,), 4)
 
 
 def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> tuple[list[StateSpaceModel | DelayedModel], str]:
@@ -167,7 +163,6 @@ def _drawn(shown: Any, n: int, seed: int, most: int = MOST) -> tuple[list[StateS
 
 
 def _closed(figure: Figure, panels: Sequence[Axes], several: bool, remark: str) -> Figure:
-    """Add the legend of several models and a remark to a figure."""
     if several:
         style.legend_below(figure, panels)
     if remark:
@@ -193,12 +188,6 @@ def _step(model: StateSpaceModel | DelayedModel, t: Array, name: str) -> Array:
     return np.column_stack([record.outputs[y] for y in model.output_names])
 
 
-def _phases(curves: AnyArray) -> Array:
-    """Return unwrapped phases in degrees, each on the branch of the nominal one (the first)."""
-    phases = np.degrees(np.unwrap(np.angle(curves), axis=1))
-    return phases - 360.0 * np.round((phases[:, :1] - phases[:1, :1]) / 360.0)
-
-
 def _per(y: Signal, u: Signal) -> str:
     """Return the unit of a gain from u to y; empty for a ratio or without units."""
     if y.unit == u.unit:
@@ -219,9 +208,6 @@ def _curves(
         axes.plot(x, members.T, color=style.SAMPLE, lw=0.6, alpha=0.7, drawstyle=drawstyle, label=labels)
     label = f"{word}nominal" if len(members) else name or None
     axes.plot(x, rows[0], color=colour, drawstyle=drawstyle, label=label, zorder=3)
-
-
-# --- records, measured responses, reduced models ----------------------------------------------------------------------
 
 
 @style.house_style()
@@ -259,8 +245,7 @@ def measured_response_figure(found: FrequencyData | UncertainFrequencyData) -> F
     below.set_ylabel("phase [degrees]")
     style.frequency_axis(below, (omega[0], omega[-1]) if len(omega) > 1 else None)
     style.zero_line(below)
-    style.legend_below(figure, (above,))
-    return figure
+    return style.legend_below(figure, (above,))
 
 
 @style.house_style()
@@ -282,5 +267,4 @@ def reduction_figure(found: ReducedModel) -> Figure:
     style.logarithmic(axes.yaxis)
     style.frequency_axis(axes, (omega[0], omega[-1]))
     axes.set_ylabel("largest singular value")
-    style.legend_below(figure, (axes,), 2)
-    return figure
+    return style.legend_below(figure, (axes,), 2)

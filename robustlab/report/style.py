@@ -20,7 +20,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from matplotlib.layout_engine import TightLayoutEngine
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -102,20 +102,19 @@ def new_figure(
     """
     canvas = _CANVAS.get()
     with house_style():
-        if isinstance(canvas, Axes) and rows * columns == 1:
+        if not isinstance(canvas, Axes):
+            figure = canvas((width, height * rows))
+        elif rows * columns == 1:
             return canvas.figure, [canvas]  # pyright: ignore[reportReturnType]
-        figure = _replaced(canvas) if isinstance(canvas, Axes) else canvas((width, height * rows))
+        elif (place := canvas.get_subplotspec()) is None:
+            found = "axes that are in no grid, for a drawing of several panels"
+            raise InputError("plot: ax", found, "axes of plt.subplots", "leave ax out")
+        else:
+            whole = canvas.figure
+            canvas.remove()
+            figure = whole.add_subfigure(place)
         axes = figure.subplots(rows, columns, squeeze=False, **options)
     return figure, list(axes.ravel())  # pyright: ignore[reportReturnType]
-
-
-def _replaced(axes: Axes) -> SubFigure:
-    place, figure = axes.get_subplotspec(), axes.figure
-    if place is None:
-        found = "axes that are in no grid, for a drawing of several panels"
-        raise InputError("plot: ax", found, "axes of plt.subplots", "leave ax out")
-    axes.remove()
-    return figure.add_subfigure(place)
 
 
 def axis_label(name: str, unit: str) -> str:
@@ -151,20 +150,21 @@ def headroom(axes: Axes, below: float = 0.0, above: float = 0.0) -> None:
     axes.set_ylim(low - below * (high - low), high + above * (high - low))
 
 
-def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> None:
-    """Draw one legend for all panels below them, each label once.
+def legend_below(figure: Figure, panels: Sequence[Axes], ncols: int | None = None) -> Figure:
+    """Draw one legend for all panels below them, each label once, and return the figure.
 
     In the Axes of a user's figure, or without a layout engine, it is inside the first panel.
     """
     if _CANVAS.get() is panels[0] or figure.get_layout_engine() is None:
         panels[0].legend(loc="best", fontsize="small")
-        return
+        return figure
     entries: dict[str, Artist] = {}
     for panel in panels:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     columns = min(4, max(2, len(entries))) if ncols is None else ncols
     figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    return figure
 
 
 def chosen(names: Sequence[str], name: str | None, kind: str) -> str:

@@ -10,30 +10,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import not_finite
 from robustlab.errors import InputError
-from robustlab.files.signature import Limits
 from robustlab.files.tree import Tree, Unread, link_name, one_number, signal_name
 from robustlab.result import Result, Status
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import (
-    Problems,
-    columns,
-    decode_model,
-    decode_point,
-    decode_signals,
-    encode_point,
-    encode_signals,
-    encode_state_space,
-    entries,
-    need,
-    put_columns,
-)
+from robustlab.storage import matrices
+from robustlab.storage.matrices import Problems, columns, need, put_columns
 
 if TYPE_CHECKING:
     from robustlab.record import Record
@@ -50,14 +37,14 @@ class Codec(NamedTuple):
     module: str = "codecs"
 
     def write(self, tree: Tree, obj: Any) -> None:
-        self._called("encode", tree, obj)
+        self._function("encode")(tree, obj)
 
     def read(self, tree: Tree, problems: Problems, transpose: bool) -> Any:
-        return self._called("decode", tree, problems, transpose)
+        return self._function("decode")(tree, problems, transpose)
 
-    def _called(self, way: str, *given: Any) -> Any:
+    def _function(self, way: str) -> Any:
         module = import_module(f"robustlab.storage.{self.module}")
-        return getattr(module, f"{way}_{self.kind.replace('-', '_')}")(*given)
+        return getattr(module, f"{way}_{self.kind.replace('-', '_')}")
 
 
 def codec_of(obj: Any) -> Codec | None:
@@ -69,7 +56,7 @@ def codec_of(obj: Any) -> Codec | None:
 
 def encode_delayed(tree: Tree, model: Any) -> None:
     """Write group ``H`` as a state-space model, dataset ``delays`` in s, of its first inputs and outputs."""
-    encode_state_space(tree.group("H"), model.H)
+    matrices.encode_state_space(tree.group("H"), model.H)
     tree.put("delays", np.asarray(model.delays, dtype=np.float64))
 
 
@@ -78,7 +65,8 @@ def decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
     from robustlab.delays.model import DelayedModel
 
     need(tree, problems, groups=("H",), datasets=("delays",))
-    model, lengths = decode_model(tree.groups["H"], problems, transpose), entries(tree, "delays", "fi", problems)
+    model = matrices.decode_model(tree.groups["H"], problems, transpose)
+    lengths = matrices.entries(tree, "delays", "fi", problems)
     return problems.built(DelayedModel, model, np.asarray(lengths, dtype=np.float64))
 
 
@@ -90,8 +78,8 @@ RARE = {"below": "fi", "sign": "U", "origin": "U"}
 
 def encode_uncertain(tree: Tree, model: UncertainModel) -> None:
     """Write group ``M`` as a state-space model, and group ``blocks`` with one entry per block in each dataset."""
-    encode_state_space(tree.group("M"), model.M)
-    encode_point(tree, model.operating_point)
+    matrices.encode_state_space(tree.group("M"), model.M)
+    matrices.encode_point(tree, model.operating_point)
     encode_blocks(tree, model.blocks)
 
 
@@ -114,9 +102,8 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
     from robustlab.uncertainty.lft import UncertainModel
 
     need(tree, problems, groups=("M", "blocks"))
-    model = decode_model(tree.groups["M"], problems, transpose)
-    blocks = decode_blocks(tree, problems)
-    return problems.built(UncertainModel, model, blocks, decode_point(tree, problems))
+    model, blocks = matrices.decode_model(tree.groups["M"], problems, transpose), decode_blocks(tree, problems)
+    return problems.built(UncertainModel, model, blocks, matrices.decode_point(tree, problems))
 
 
 def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
@@ -169,7 +156,7 @@ def encode_frequency_data(tree: Tree, data: Any) -> None:
     tree.put("omega", np.asarray(data.omega, dtype=np.float64))
     tree.put("M", np.asarray(data.M, dtype=np.complex128))
     encode_blocks(tree, data.blocks)
-    encode_signals(tree, ((), data.inputs, data.outputs))
+    matrices.encode_signals(tree, ((), data.inputs, data.outputs))
 
 
 def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
@@ -177,11 +164,11 @@ def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = Fal
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
     need(tree, problems, groups=("blocks",), datasets=("omega", "M"))
-    omega, values = entries(tree, "omega", "fi", problems), tree.datasets["M"].values
+    omega, values = matrices.entries(tree, "omega", "fi", problems), tree.datasets["M"].values
     if isinstance(values, Unread) or values.dtype.kind not in "fic":
         problems.add(f"{tree.child_path('M')} is not readable as complex numbers")
     blocks = decode_blocks(tree, problems)
-    _, inputs, outputs = decode_signals(tree, problems)
+    _, inputs, outputs = matrices.decode_signals(tree, problems)
     return problems.built(UncertainFrequencyData, omega, values, blocks, inputs, outputs)
 
 
@@ -189,7 +176,7 @@ def encode_controller(tree: Tree, controller: Any) -> None:
     """Write K as a state-space model; ``gamma``, ``status``, ``method`` as attributes; the claims of its design."""
     from robustlab.evidence.verification import claims_of
 
-    encode_state_space(tree, controller.K)
+    matrices.encode_state_space(tree, controller.K)
     _put_design(tree, controller)
     claims = claims_of(controller.design)
     own = {f"K_{letter}": getattr(controller.K, letter) for letter in "ABCD"}
@@ -200,7 +187,7 @@ def encode_controller(tree: Tree, controller: Any) -> None:
 def decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
     from robustlab.synthesis.problem.controller import Controller
 
-    model = decode_model(tree, problems, transpose)
+    model = matrices.decode_model(tree, problems, transpose)
     return problems.built(Controller, model, *_design(tree, problems))
 
 
@@ -235,7 +222,7 @@ def encode_lpv(tree: Tree, model: Any) -> None:
     put_columns(group, COLUMNS, model.parameters)
     group.put("count", np.array([len(p.points) for p in model.parameters]))
     group.put("points", np.concatenate([p.points for p in model.parameters]))
-    encode_signals(tree, (model.states, model.inputs, model.outputs))
+    matrices.encode_signals(tree, (model.states, model.inputs, model.outputs))
 
 
 def decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
@@ -247,7 +234,7 @@ def decode_lpv(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
     group = tree.groups["parameters"]
     found = columns(group, {**COLUMNS, "count": "i"}, problems)
     points = columns(group, {"points": "fi"}, problems).get("points", [])
-    sides = [side or [] for side in decode_signals(tree, problems)]
+    sides = [side or [] for side in matrices.decode_signals(tree, problems)]
     problems.raise_any()
     try:
         return _lpv_model(tree, found, points, sides)
@@ -288,25 +275,23 @@ def decode_lpv_controller(tree: Tree, problems: Problems, _transpose: bool) -> A
 
 def encode_record(tree: Tree, record: Any) -> None:
     """Write dataset ``t``, and one for each signal in groups ``inputs`` and ``outputs``."""
-    from robustlab.files.records import encode_record as put
-
-    put(tree, record)
+    tree.attrs["name"] = record.name
+    tree.put("t", record.t, unit="s", **({"meaning": record.meaning["t"]} if "t" in record.meaning else {}))
+    for side in ("inputs", "outputs"):
+        group = tree.group(side)
+        for position, (name, values) in enumerate(getattr(record, side).items()):
+            attrs = {"unit": record.units.get(name, ""), "meaning": record.meaning.get(name, ""), "position": position}
+            group.put(link_name(name), values, **attrs)
 
 
 def decode_record(tree: Tree, _problems: Problems, _transpose: bool) -> Record:
-    from robustlab.files.records import decode_record as keywords_of
+    from robustlab.files.records import stored_record
 
-    return _record(keywords_of(tree, tree.file), tree.file)
-
-
-def record_from(path: str | Path, group: str | None, limits: Limits | None, isolate: bool) -> Record:
-    """Return the record in a file without header; see `robustlab.files.records.read_record`."""
-    from robustlab.files.records import read_record
-
-    return _record(read_record(path, group, limits=limits, isolate=isolate), str(path))
+    return record_of(stored_record(tree, tree.file), tree.file)
 
 
-def _record(keywords: dict[str, Any], where: str) -> Record:
+def record_of(keywords: dict[str, Any], where: str) -> Record:
+    """Return the record of these arguments; its error names the file."""
     from robustlab.record import Record
 
     name = keywords.pop("name")

@@ -255,9 +255,8 @@ def export_controller(
         For ``.c`` with a saturation: time in s within which, during saturation, all modes of the controller decay. Ten
         samples by default; inf does not change a stable controller's states.
     feed_forward
-        For ``.c``: what is added to a control signal before its limits, a function of the reference and its rate
-        (`robustlab.dynamics.extended.feed_forward.feed_forward` of a plant with effects). The rate is then the last
-        input of the step.
+        For ``.c``: a function of the reference and its rate, added to a control signal before its limits
+        (`robustlab.dynamics.extended.feed_forward.feed_forward`). The rate is then the last input of the step.
     provenance
         Where it comes from; time and versions of now where left out.
 
@@ -269,10 +268,10 @@ def export_controller(
     Raises
     ------
     UsageError
-        Another extension, or a saturation, an anti-windup time or a feed-forward where there is no place for it.
+        Another extension; a saturation, an anti-windup time or a feed-forward for a file that cannot hold it.
     InputError
-        A continuous controller for ``.c``, limits or a prefix that are none, an anti-windup time below a sample, a slow
-        mode that back-calculation cannot move, a feed-forward of signals that the controller does not have.
+        A continuous controller for ``.c``, invalid limits or prefix, an anti-windup time below a sample, a slow mode
+        that back-calculation cannot move, a feed-forward of signals that the controller does not have.
     EnvironmentFault
         Disk full, no permission; the previous file is kept.
     """
@@ -284,8 +283,8 @@ def export_controller(
         raise InputError(str(path), f"a {type(given).__name__}", "a controller or a model")
     held = given if isinstance(given, Controller) else Controller(as_model(given, "export_controller"))
     options = {"a saturation": saturation, "an anti-windup time": anti_windup, "a feed-forward": feed_forward}
-    for what, given in options.items():
-        if given is not None and suffix != ".c":
+    for what, option in options.items():
+        if option is not None and suffix != ".c":
             raise UsageError(str(path), f"{what} in a {suffix} file", "a .c file: the others hold a linear model")
     if anti_windup is not None and saturation is None:
         raise UsageError(str(path), "an anti-windup time without a saturation", "a .c file with a saturation")

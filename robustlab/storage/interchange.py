@@ -19,7 +19,7 @@ from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.storage.codecs import BY_KIND, codec_of, record_from
+from robustlab.storage.codecs import BY_KIND, codec_of, record_of
 from robustlab.storage.matrices import NAMES, PAIR, SIGNAL, Problems, decode_pair, decode_state_space
 
 if TYPE_CHECKING:
@@ -138,9 +138,11 @@ def read(
 ) -> Loaded:
     """Read as `load` does, with the properties of the file, and both models of a pair."""
     where = str(path)
-    content = content_of(path, limits)
-    if content == "text":
-        return Loaded(record_from(path, group, limits, isolate), "record", where, False)
+    if content_of(path, limits) == "text":
+        from robustlab.files.records import read_record
+
+        keywords = read_record(path, group, limits=limits, isolate=isolate)
+        return Loaded(record_of(keywords, where), "record", where, False)
     tree = read_tree(path, group, limits, isolate)
     problems, found, origin = Problems(where), list[str](), None
     verified = is_stamped(tree) and group is None
@@ -153,23 +155,21 @@ def read(
         if node is None:
             names = ", ".join(tree.group_names())
             raise InputError(where, f"missing group /{group}", f"one of {names}" if names else "a file with groups")
-        kind, thing = _plain(node, problems, group, transpose=transpose, limits=limits, isolate=isolate)
+        kind, thing = _plain(tree, node, problems, group, transpose)
     warned = (*found, *problems.notes, *_unit_warnings(kind, thing))
     return Loaded(thing, kind, where, verified, warned, origin)
 
 
-def _plain(
-    node: Tree, problems: Problems, group: str | None, *, transpose: bool, limits: Limits | None, isolate: bool
-) -> tuple[str, Any]:
+def _plain(tree: Tree, node: Tree, problems: Problems, group: str | None, transpose: bool) -> tuple[str, Any]:
     """Decode a file without header: a model by its matrices, a pair by its groups, a record by its times."""
     matrices = [name for name in NAMES if name in node.datasets]
     if not matrices and any(get_close_matches(name.lower(), PAIR, n=1, cutoff=0.7) for name in node.groups):
         return "pair", decode_pair(node, problems, transpose)
-    from robustlab.files.records import CLOCK_NAMES
+    from robustlab.files.records import CLOCK_NAMES, record_of_group
 
     clocked = any(name in node.datasets for name in CLOCK_NAMES) or {"inputs", "outputs"} & set(node.groups)
     if len(matrices) < 2 and clocked:
-        return "record", record_from(problems.file, group, limits, isolate)
+        return "record", record_of(record_of_group(problems.file, tree, node, group), problems.file)
     if not matrices and node.groups:
         problems.hint = f"groups here: {', '.join(list(node.groups)[:8])}; choose one, group=..."
     return "state-space", decode_state_space(node, problems, transpose)
@@ -274,10 +274,7 @@ def _save_matlab(path: str | Path, obj: Any) -> Path:
 
 # --- parametric models in TOML: matrices of expressions, ranges of parameters, names of signals -----------------------
 #
-#   A = [[0, 1], ["-k/m", "-c/m"]]
-#   B = [[0], ["1/m"]]
-#   C = [[1, 0]]
-#   D = [[0]]
+#   A = [[0, 1], ["-k/m", "-c/m"]]       # B, C and D alike
 #   inputs = [["F", "N"]]                # optional, as outputs, states and dt: a name, or a name and its unit
 #   [parameters]
 #   m = [3.0, 0.4]                       # nominal value, relative tolerance

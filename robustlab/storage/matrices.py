@@ -30,7 +30,6 @@ class Problems:
     notes: list[str] = field(default_factory=list)  # remarks on a valid file
 
     def add(self, line: str, hint: str | None = None) -> None:
-        """Add a fault."""
         self.lines.append(line)
         self.hint = self.hint or hint
 
@@ -67,7 +66,6 @@ COLUMN_MAJOR = "file looks column-major: use transpose=True"
 
 
 def encode_state_space(tree: Tree, model: StateSpaceModel) -> None:
-    """Write ``model`` into ``tree`` in the layout of kind ``state-space``."""
     for name in NAMES:
         tree.put(name, getattr(model, name))
     tree.attrs["dt"] = model.dt
@@ -83,7 +81,6 @@ def encode_signals(tree: Tree, given: Sequence[Sequence[Signal]]) -> None:
 
 
 def encode_point(tree: Tree, point: OperatingPoint | None) -> None:
-    """Write an operating point into ``tree``, if there is one."""
     for name in ("x", "u", "y") if point is not None else ():
         tree.group("operating_point").put(name, getattr(point, name))
 
@@ -275,10 +272,8 @@ def decode_signals(node: Tree, problems: Problems) -> tuple[list[Signal] | None,
         unknown = [word for word in rows[2] if word and word not in TAKES]
         if unknown:
             problems.add(f"{group.child_path(names[2])} is {unknown[0]!r}, expected one of {', '.join(TAKES)}")
-        made = [
-            Taken(*row) if row[2] else Signal(*row[:2]) for row in zip(*rows, strict=False) if row[2] not in unknown
-        ]
-        result.append(made)
+        known = [row for row in zip(*rows, strict=False) if row[2] not in unknown]
+        result.append([Taken(*row) if row[2] else Signal(*row[:2]) for row in known])
     return tuple(result)
 
 
@@ -321,7 +316,6 @@ def entries(group: Tree, name: str, kinds: str, problems: Problems) -> list[Any]
 
 
 def decode_point(node: Tree, problems: Problems) -> OperatingPoint | None:
-    """Return the operating point in ``node``, or None."""
     group = node.groups.get("operating_point")
     if group is None:
         return None
@@ -335,7 +329,6 @@ PAIR = ("nominal", "perturbed")
 
 
 def decode_pair(tree: Tree, problems: Problems, transpose: bool = False) -> tuple[StateSpaceModel, StateSpaceModel]:
-    """Return the models in groups ``nominal`` and ``perturbed``."""
     find_children(tree, PAIR, problems, kind="group")
     dt = sample_time(tree, problems)
     models: dict[str, Any] = {}
@@ -373,10 +366,9 @@ def check_pair(nominal: StateSpaceModel, perturbed: StateSpaceModel, where: str 
 
 @dataclass(frozen=True)
 class Change(AllFields):
-    """One entry of A, B, C or D that differs."""
+    """One entry of A, B, C or D that differs: the gain from a signal, ``column``, to ``row`` or its derivative."""
 
     matrix: str  # `"A"`, `"B"`, `"C"` or `"D"`
-    # row, column: names of the signals; the entry is the gain from `column` to `row` (to its derivative, in A and B)
     row: str
     column: str
     first: float
@@ -396,12 +388,10 @@ class Difference(AllFields, Displayable):
 
     @property
     def count(self) -> int:
-        """Number of entries that differ."""
         return len(self.changes)
 
     @property
     def largest(self) -> float:
-        """Largest relative change."""
         return max((abs(c.relative) for c in self.changes), default=0.0)
 
     def headline(self) -> str:
@@ -412,7 +402,6 @@ class Difference(AllFields, Displayable):
         return [("differ", f"{self.count} of {self.entries} entries"), ("largest change", change)]
 
     def details(self) -> list[Part]:
-        """Every entry that differs."""
         rows = [
             (f"{c.matrix}[{c.row}, {c.column}]", f"{c.first:.9g}", f"{c.second:.9g}", f"{100 * c.relative:+.4g} %")
             for c in self.changes
@@ -421,15 +410,9 @@ class Difference(AllFields, Displayable):
 
 
 def difference(first: StateSpaceModel, second: StateSpaceModel) -> Difference:
-    """Return the entries that differ."""
     check_pair(first, second, "difference of two models")
-    changes = []
-    for name, rows, columns in (
-        ("A", first.state_names, first.state_names),
-        ("B", first.state_names, first.input_names),
-        ("C", first.output_names, first.state_names),
-        ("D", first.output_names, first.input_names),
-    ):
+    changes, x, u, y = [], first.state_names, first.input_names, first.output_names
+    for name, rows, columns in (("A", x, x), ("B", x, u), ("C", y, x), ("D", y, u)):
         a, b = getattr(first, name), getattr(second, name)
         for i, j in np.argwhere(a != b):
             old, new = float(a[i, j]), float(b[i, j])

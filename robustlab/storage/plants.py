@@ -15,17 +15,8 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, PortPlace
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
-from robustlab.storage.matrices import (
-    TYPES,
-    Problems,
-    columns,
-    decode_model,
-    encode_state_space,
-    entries,
-    find_children,
-    need,
-    put_columns,
-)
+from robustlab.storage import matrices
+from robustlab.storage.matrices import Problems, columns, need, put_columns
 from robustlab.uncertainty.blocks import Sign
 
 if TYPE_CHECKING:
@@ -64,7 +55,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
             "a plant as from plant(name), a LinearPlant, PlantEquations(...).plant(), or a model",
             "to keep its linear model alone: save(path, linearise(plant))",
         )
-    encode_state_space(tree, _linear(obj))
+    matrices.encode_state_space(tree, _linear(obj))
     group = tree.group("plant")
     group.attrs.update(name=base.name, **_options(base))
     put_columns(group.group("parameters"), PARAMETERS | (MORE if own else {}), list(base.parameters.values()))
@@ -80,7 +71,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
                 held.group(name).put(row, getattr(getattr(tapes, name), row))
         put_columns(held.group("places"), PLACE, tapes.places)
     if own:
-        encode_state_space(group.group("base"), _linear(base))
+        matrices.encode_state_space(group.group("base"), _linear(base))
     for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
         one = tree.group("effects").group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
@@ -93,8 +84,8 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
     """Invert `encode_plant`."""
     known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
-    find_children(tree, ("plant",), problems, known, "group")
-    model = decode_model(tree, problems)
+    matrices.find_children(tree, ("plant",), problems, known, "group")
+    model = matrices.decode_model(tree, problems)
     plant = problems.built(_plant, tree, problems)
     assert model is not None
     _check_model(plant, model, problems.file)
@@ -147,7 +138,7 @@ def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
     from robustlab.dynamics.parameters import Parameter, Role
 
     need(group, problems, groups=("parameters", held, "base"))
-    model = decode_model(group.groups["base"], problems)
+    model = matrices.decode_model(group.groups["base"], problems)
     found = columns(group.groups["parameters"], PARAMETERS | MORE, problems)
     words = {"sign": get_args(Sign), "role": get_args(Role)}
     _check_rows(group.groups["parameters"], "a parameter", found, words, problems)
@@ -171,7 +162,7 @@ def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Pro
     from robustlab.dynamics.linear_plant import AffineEquations
 
     need(held, problems, datasets=("parameters", *MATRICES))
-    names = entries(held, "parameters", "U", problems) or []
+    names = matrices.entries(held, "parameters", "U", problems) or []
     arrays = {key: held.datasets[key].values for key in MATRICES}
     for key, values in arrays.items():
         shape = values.shape if isinstance(values, np.ndarray) and values.dtype.kind in "fi" else ()
@@ -199,7 +190,7 @@ def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> 
         group = held.groups[name]
         rows = columns(group, ROWS, problems, one_length=False)
         problems.raise_any()
-        numbers: Any = {row: np.array(v, TYPES[ROWS[row]]) for row, v in rows.items()}
+        numbers: Any = {row: np.array(v, matrices.TYPES[ROWS[row]]) for row, v in rows.items()}
         try:
             tapes.append(Tape(n_moving + n_parameters, **numbers, n_still=n_parameters))
         except InputError as error:
@@ -234,7 +225,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
         problems.add(f"{group.path}: attribute name is missing or no text")
     need(group, problems, groups=("parameters", "base") if name == BARE else ("parameters",))
     found = columns(group.groups["parameters"], PARAMETERS, problems)
-    model = decode_model(group.groups["base"], problems) if name == BARE else None
+    model = matrices.decode_model(group.groups["base"], problems) if name == BARE else None
     problems.raise_any()
     rows = {row[0]: dict(zip(found, row, strict=True)) for row in zip(*found.values(), strict=True)}
     if model is not None:

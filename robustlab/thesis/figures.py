@@ -15,7 +15,7 @@ from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import inverse_kinematics, stewart_platform
 from robustlab.report.drawings import Picture
 from robustlab.report.style import COLOURS, house_style, new_figure, plain_label
-from robustlab.thesis.numbers import UP_TO, Case, PublishedNumbers, SineRun
+from robustlab.thesis.numbers import UP_TO, Case, PublishedNumbers, SineRun, first_time
 from robustlab.uncertainty.elementwise import elementwise
 from robustlab.worst_case_analysis.sampling import sample
 
@@ -172,7 +172,7 @@ def pictures_of_numbers(found: PublishedNumbers) -> Iterator[tuple[str, Picture]
     """Yield pictures by name: the sine runs, and the runs of section 9.1.3."""
     geometry = stewart_platform().geometry
     for name, run in found.sines.items():
-        until = run.when_height(0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
+        until = first_time(run.t, run.height, 0.1407) if name == "0.1 N m at 2 Hz" else run.t[-1]
         words = (
             f"{name} on all motors: the torque and the platform's height, simulated (figures 8.1, 8.2; how long they "
             "last is not printed); the nonlinear simulation, the linear model at home, their difference (8.3-8.6)."

@@ -43,9 +43,6 @@ BEARING = (16.33, 175.4)  # m2; m3 is its mirror image
 MAKER_SPEED = 7530 * 2 * math.pi / 60
 
 
-# --- a sine of torque on all motors ----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class SineRun:
     """The platform from rest at home under the holding torque plus one sine of torque on all six motors."""
@@ -60,14 +57,6 @@ class SineRun:
     # height z of the platform (n,) and actuator lengths (n, 6) of the nonlinear run, in m
     height: Array
     lengths: Array
-
-    def when_height(self, z: float) -> float:
-        """Return the first time in s at which the platform reaches the height z, interpolated, or infinity."""
-        return _first_time(self.t, self.height, z)
-
-    def when_length(self, length: float) -> float:
-        """Return the first time in s at which an actuator reaches ``length``."""
-        return _first_time(self.t, self.lengths.max(axis=1), length)
 
     def percent(self, until: float = math.inf) -> tuple[Array, Array, Array]:
         """Return times, and linear minus nonlinear angle and rate of nut 1 in percent of the largest one."""
@@ -91,15 +80,13 @@ def sine_run(plant: StewartPlatform, amplitude: float, frequency: float, duratio
     return SineRun(amplitude, frequency, t, nonlinear, linear, height, lengths)
 
 
-def _first_time(t: Array, values: Array, level: float) -> float:
+def first_time(t: Array, values: Array, level: float) -> float:
+    """Return the first time at which the values reach the level, interpolated, or infinity."""
     beyond = np.flatnonzero(values >= level)
     if not len(beyond):
         return math.inf
     pair = slice(max(int(beyond[0]) - 1, 0), int(beyond[0]) + 1)
     return float(np.interp(level, values[pair], t[pair]))
-
-
-# --- perturbed machines ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +111,15 @@ class Case:
         return 100 * float(self.perturbed.B.sum() / self.nominal.B.sum() - 1)
 
     def with_gravity(self) -> tuple[StateSpaceModel, StateSpaceModel]:
-        """Return both models with one more input, ``gravity`` (figure 10.5): 1 if the torque is held."""
-        return _with_gravity(self.nominal, 0.0), _with_gravity(self.perturbed, self.released)
+        """Return both models with one more input, ``gravity`` (figure 10.5): 1 if the torque is held.
+
+        It acts like the released torque on every motor of the perturbed machine.
+        """
+        made: list[StateSpaceModel] = []
+        for m, torque in ((self.nominal, 0.0), (self.perturbed, self.released)):
+            b, d = (np.hstack([part, torque * part.sum(axis=1, keepdims=True)]) for part in (m.B, m.D))
+            made.append(StateSpaceModel(m.A, b, m.C, d, m.dt, [*m.inputs, ("gravity", "1")], m.outputs, m.states))
+        return made[0], made[1]
 
     def excitation(self, held: bool | None = None) -> tuple[Array, Array]:
         """Return times (n,) up to 57.7 ms, and inputs (n, 7): 0.1 N m at 2 Hz on all motors, and gravity."""
@@ -146,12 +140,10 @@ class Case:
     @property
     def largest_percent(self) -> float:
         """Largest change of the angle of nut 1 at the worst Delta in percent."""
-        plus, minus = self.changes()
-        return abs(plus if self.worst > 0 else minus)
+        return abs(self.changes()[self.worst < 0])
 
     @property
     def tie(self) -> bool:
-        """Whether both ends are equally bad."""
         plus, minus = map(abs, self.changes())
         return abs(plus - minus) <= TIE * max(plus, minus)
 
@@ -189,17 +181,6 @@ def cases(plant: StewartPlatform) -> tuple[Case, ...]:
     return tuple(made)
 
 
-def _with_gravity(model: StateSpaceModel, torque: float) -> StateSpaceModel:
-    """Return the model with one more input, ``gravity``, that acts like ``torque`` on every motor."""
-    b = np.hstack([model.B, torque * model.B.sum(axis=1, keepdims=True)])
-    d = np.hstack([model.D, torque * model.D.sum(axis=1, keepdims=True)])
-    inputs = [*model.inputs, ("gravity", "1")]
-    return StateSpaceModel(model.A, b, model.C, d, model.dt, inputs, model.outputs, model.states)
-
-
-# --- the controlled machine ------------------------------------------------------------------------------------------
-
-
 def track(plant: StewartPlatform, signs: tuple[int, ...] = (1, 1, 1, 1, 1, 1)) -> TrajectoryFollowing:
     """Simulate 5 s of section 9.1.3 with the poles 236 and 3000 /s: a lift of 2 s, then sines with the given signs."""
     amplitude = np.array([5e-3] * 3 + [20e-3] * 3) * signs
@@ -215,9 +196,6 @@ def lowest_stable_pole(plant: StewartPlatform) -> float:
         stable = closed_loop(plant, two_layer(plant, p_low=middle)).poles().real.max() < 0
         low, high = (low, middle) if stable else (middle, high)
     return high
-
-
-# --- the numbers ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -238,7 +216,6 @@ class PublishedNumber:
 
     @property
     def difference(self) -> float | None:
-        """Ours minus published."""
         return None if self.published is None or self.ours is None else self.ours - self.published
 
     @property
@@ -251,7 +228,6 @@ class PublishedNumber:
         return not_above and not_below
 
     def to_json(self) -> dict[str, Any]:
-        """Return all fields, the difference, and the agreement."""
         return {**vars(self), "difference": self.difference, "agrees": self.agrees}
 
 
@@ -267,7 +243,6 @@ class PublishedNumbers:
     status: Status = field(default=Status.CONVERGED)  # CONVERGED: everything was computed
 
     def with_status(self, status: str) -> list[PublishedNumber]:
-        """Return the rows of the status R, F, P or N."""
         return [row for row in self.rows.values() if row.status == status]
 
     @property
@@ -276,7 +251,6 @@ class PublishedNumbers:
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the rows."""
         return {"rows": {key: row.to_json() for key, row in self.rows.items()}}
 
 
@@ -340,7 +314,6 @@ def _states(plant: StewartPlatform) -> dict[str, Any]:
 
 
 def _speed_motor(**parameters: float) -> Any:
-    """Return the model from voltage to speed and current of the motor."""
     return drop_unconnected(dc_motor(**parameters).state_space().select(outputs=["omega", "i"]))
 
 
@@ -404,7 +377,8 @@ def _jig() -> dict[str, Any]:
 
 def _sines(plant: StewartPlatform, runs: dict[str, SineRun]) -> dict[str, Any]:
     strong, weak, quick = runs["0.1 N m at 2 Hz"], runs["1 mN m at 2 Hz"], runs["0.1 N m at 20 Hz"]
-    reached, left = strong.when_height(0.1407), strong.when_length(plant.values["L_max"])
+    reached = first_time(strong.t, strong.height, 0.1407)
+    left = first_time(strong.t, strong.lengths.max(axis=1), plant.values["L_max"])
     found: dict[str, Any] = {
         "13-20Hz": quick.height.max(), "13-1mNm": weak.height.max(), "19": reached, "reached": 1e3 * reached,
         "left": 1e3 * left,
