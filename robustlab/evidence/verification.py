@@ -20,7 +20,7 @@ CLAIMS: Mapping[str, str] = {
     "MuBounds": "evidence.claims.mu_claims",
     "Margin": "evidence.claims.margin_claims",
     "WorstCaseGain": "evidence.claims.gain_claims",
-    "RobustGain": "evidence.claims.robust_gain_claims",
+    "RobustGain": "evidence.claims.gain_claims",
     "HinfSynthesis": "evidence.claims.hinf_claims",
     "NcfSynthesis": "evidence.claims.ncf_claims",
     "H2Synthesis": "evidence.claims.h2_claims",
@@ -36,7 +36,7 @@ CLAIMS: Mapping[str, str] = {
     "Cover": "evidence.claims.cover_claims",
     "DelayStability": "evidence.claims.delayed_stability_claims",
     "DelayGain": "evidence.claims.delayed_gain_claims",
-    "UncertainModel": "evidence.claims.delay_claims",
+    "UncertainModel": "evidence.claims.weight_claims",
 }
 
 

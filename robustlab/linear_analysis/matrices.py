@@ -92,19 +92,20 @@ def dare(
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-    X, gain, coupling = _discrete_pencil(a, b, q, r, s), None, np.zeros(b.T.shape)
-    if X is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
+    from scipy.linalg import solve_discrete_are
+
+    with judged_afterwards():
+        try:
+            X = solve_discrete_are(a, b, q, r, s=s)
             X = 0.5 * (X + X.T)
             coupling = b.T @ X @ a + s.T
-            try:
-                gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
-            except np.linalg.LinAlgError:
-                gain = None
-    if X is None or gain is None or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
+            gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
+            stable = np.abs(np.linalg.eigvals(a + b @ gain)).max() < 1
+        except (np.linalg.LinAlgError, ValueError):  # of entries that are not finite, too
+            stable = False
+    if not stable:
         raise NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
-    quadratic = coupling.T @ gain
-    residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + quadratic), q, tolerance)
+    residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + coupling.T @ gain), q, tolerance)
     return RiccatiSolution(X, gain, residual)
 
 
@@ -138,11 +139,8 @@ def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLi
 
 
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
-    """Return the X of `_schur_graph`, solved again in states that scale its diagonal to one if it spans decades.
-
-    The error of the Schur vectors is eps times the norm of the Hamiltonian: with entries of X from 1 to 1e16 the small
-    ones have no digits, which balancing the Hamiltonian does not change.
-    """
+    """Return the X of `_schur_graph`, solved again in states that scale its diagonal to one if it spans decades."""
+    # Otherwise the small entries of X have no digits, which balancing the Hamiltonian does not change.
     X = _schur_graph(A, G, Q)
     for _ in range(RESCALED):
         size = None if X is None else np.sqrt(np.abs(np.diag(X)))
@@ -179,23 +177,10 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T) if np.isfinite(X).all() else None
 
 
-def _discrete_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> AnyArray | None:
-    """Return X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981), or None."""
-    from scipy.linalg import LinAlgError, solve_discrete_are
-
-    with judged_afterwards():
-        try:
-            X = solve_discrete_are(a, b, q, r, s=s)
-        except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
-            return None
-    return X if np.isfinite(X).all() else None
-
-
 def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
     """Refine the solution by Newton's steps as long as the residual falls (Kleinman 1968); return it with the residual.
 
-    If the eigenvalues of the Hamiltonian span ten decades, X may be wrong by tens of per cent at a relative residual
-    of 1e-3. Newton converges quadratically from there.
+    X may be wrong by tens of per cent if the eigenvalues of the Hamiltonian span ten decades.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
@@ -284,14 +269,9 @@ def system_matrix(m: StateSpaceModel) -> Array:
 
 
 def of_system_matrix(
-    whole: Array,
-    n: int,
-    dt: float,
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
-    states: Sequence[Signal],
+    whole: Array, n: int, dt: float, inputs: Sequence[Signal], outputs: Sequence[Signal], states: Sequence[Signal],
     where: str,
-) -> StateSpaceModel:
+) -> StateSpaceModel:  # fmt: skip
     """Return the model of ``[A B; C D]`` with n states."""
     parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
     return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)

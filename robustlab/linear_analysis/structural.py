@@ -1,17 +1,8 @@
-r"""Structural properties of linear models: controllability, observability, and states that are not connected at all.
+r"""Controllability, observability, and states that are not connected at all.
 
-The rank of the controllability matrix (eq. 4.2 of the thesis) is the definition, but inaccurate: powers of A hide the
-weak directions of a badly scaled model. Here the controllable subspace is built up by orthogonal steps (the staircase
-form), and every mode is tested by itself,
-
-.. math:: \operatorname{rank} [A - \lambda I \;\; B] = n \quad \text{for every eigenvalue } \lambda \text{ of } A,
-
-after a diagonal scaling of states and inputs that does not depend on the units the model came in.
-
-References
-----------
-Březina 2010, eqs 4.2, 4.3. Paige, "Properties of numerical algorithms related to computing controllability", IEEE TAC
-26 (1981). Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981).
+The controllable subspace is built up by orthogonal steps (the staircase form), and every mode is tested by itself,
+:math:`\operatorname{rank} [A - \lambda I \;\; B] = n`, after a diagonal scaling of states and inputs that does not
+depend on the model's units. Březina 2010, eqs 4.2, 4.3; Paige, IEEE TAC 26 (1981); Van Dooren, IEEE TAC 26 (1981).
 """
 
 from __future__ import annotations
