@@ -23,7 +23,7 @@ from robustlab.delays.approximation import SHORTEST, checked_order, error_weight
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
-from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
+from robustlab.linear_analysis.frequency import CHUNK, frequency_response, solved_on_axis
 from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
@@ -143,18 +143,12 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
             return frequency_response(self.H, w)
-        try:
-            return self._solved(1j * w)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber("frequency_response", *at_pole(w, 1j * w, self._solved)) from None
+        return solved_on_axis(self._solved, w, 1j * w)
 
     def values_at(self, s: ComplexArray) -> ComplexArray:
-        """Return the transfer matrix ``G(s)`` at complex numbers (n,), shape (n, n_y, n_u)."""
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):
-                found = self._solved(s)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+        """Return the transfer matrix ``G(s)`` at (n,), shape (n, n_y, n_u); numpy's LinAlgError at a pole."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self._solved(s)
         if not np.isfinite(found).all():
             raise NoTrustworthyNumber("G(s)", "exp(s tau) overflows", "a real part below 700 / tau")
         return found

@@ -1,6 +1,7 @@
 """Claims of results, for `robustlab.verify`: bounds of mu, margins and gains; designs, reductions, sets and covers.
 
-Of a loop the plant and K are stored: the checker forms the loop in balls.
+Each function returns the claims of one class of results. Of a loop the plant and K are stored: the checker forms the
+loop in balls.
 """
 
 from __future__ import annotations
@@ -66,7 +67,6 @@ GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies times the delay, for the s
 
 
 def mu_claims(found: MuBounds) -> list[Claim]:
-    """Return the claims of both bounds of each matrix."""
     if found.M is None:
         return []
     every = found.M.reshape(-1, *found.M.shape[-2:])
@@ -199,7 +199,6 @@ def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
 
 
 def _ranges(blocks: Sequence[Block]) -> NDArray[np.float64]:
-    """Return the ends of each real block's range in Delta, for a set of size one; -1, 1 of other blocks."""
     return np.array([b.interval or (-1.0, 1.0) for b in blocks], dtype=float)
 
 
@@ -210,7 +209,6 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
 
 
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:
-    """Return the claim of a stable loop with a four-block norm of at most one over ``lower``."""
     if found.plant is None or found.K is None or not found.lower > 0:
         return []
     return loop_claims(four_block(found.plant), found.K, 1 / found.lower)
@@ -238,14 +236,12 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
 
 
 def delayed_stability_claims(found: DelayStability) -> list[Claim]:
-    """Return the claim, if proved, that every member of the set, which contains the delayed model, is stable."""
     if found.system is None or not found.stable:
         return []
     return _claims_of_set("delayed-stable", found.system, found.proof, [], {})
 
 
 def delayed_gain_claims(found: DelayGain) -> list[Claim]:
-    """Return the claim that no member has a gain above ``upper``."""
     if found.system is None or not np.isfinite(found.upper):
         return []
     block = FullBlock("performance", found.system.n_inputs, found.system.n_outputs)
@@ -253,7 +249,6 @@ def delayed_gain_claims(found: DelayGain) -> list[Claim]:
 
 
 def _delayed_disk_claims(found: DiskMargin, system: DelayedModel) -> list[Claim]:
-    """Return the claim of the bound of mu of the deltas, with the blocks of the delays."""
     if found.proof is None:
         return []
     blocks = [ComplexScalar(name) for name in found.factor] or [ComplexScalar("delta")]
@@ -302,12 +297,10 @@ ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's st
 
 
 def hinf_claims(found: Synthesis) -> list[Claim]:
-    """Return the claim of a stable loop with an H-infinity norm of at most ``gamma``."""
     return loop_claims(found.plant.model, found.K, found.gamma)
 
 
 def h2_claims(found: Synthesis) -> list[Claim]:
-    """Return the claim of a stable loop with an H2 norm of at most ``gamma``."""
     return h2_loop_claims(found.plant.model, found.K, found.gamma)
 
 
@@ -328,7 +321,6 @@ def fixed_claims(found: FixedSynthesis) -> list[Claim]:
 
 
 def tuned_claims(found: TunedSynthesis) -> list[Claim]:
-    """Return the claims of the value of every goal for every plant: a norm of its weighted loop."""
     return [c for goal in found.goals for c in _every_plant(found.K, goal.plants, goal.values, goal.norm)]
 
 
@@ -354,7 +346,6 @@ def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:
-    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals."""
     level, pieces = found.gamma * ABOVE, found.pieces
     if not pieces:
         loop = found.plant.close(found.K)

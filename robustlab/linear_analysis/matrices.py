@@ -46,11 +46,7 @@ class RiccatiSolution(NamedTuple):
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    r"""Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite.
-
-    >>> float(round(care([[0.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
-    1.0
-    """
+    """Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite."""
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
@@ -64,10 +60,7 @@ def care(
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):
             gain = -np.linalg.solve(r, b.T @ X + s.T)
-            quadratic = (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            left = a.T @ X + X @ a + q + quadratic
-            return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
+            return _weighed(a.T @ X, (X @ b + s) @ gain, q, a + b @ gain)
 
     X = _stable_graph(*whole)
     if X is None or not _is_stable(weighed(X)[0]):
@@ -85,9 +78,6 @@ def dare(
     """Solve ``A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0`` for the stabilising X.
 
     The gain is ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``; R may be singular.
-
-    >>> float(round(dare([[1.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
-    1.61803398875
     """
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
@@ -110,12 +100,7 @@ def dare(
 
 
 def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
-    r"""Solve ``A^T X + X A - X G X + Q = 0`` for the X with stable ``A - G X``, for searches; None if not found.
-
-    >>> one = np.eye(1)
-    >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
-    2.0
-    """
+    """Solve ``A^T X + X A - X G X + Q = 0`` for the X with stable ``A - G X``, for searches; None if not found."""
     if not len(A):
         return np.zeros((0, 0))
     X = _stable_graph(A, G, Q)
@@ -124,13 +109,16 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
 
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):  # NaN counts as a large residual
-            linear, quadratic = A.T @ X, X @ G @ X
-            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-            left = linear + linear.T - quadratic + Q
-            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
+            return _weighed(A.T @ X, -X @ G @ X, Q, A - G @ X)
 
     X, residual = _refined(X, weighed)  # the first one is stable: the Schur form was ordered
     return X if residual <= tolerance else None
+
+
+def _weighed(linear: AnyArray, quadratic: AnyArray, known: AnyArray, loop: AnyArray) -> Weighed:
+    left = linear + linear.T + quadratic + known
+    size = 2 * np.linalg.norm(linear) + np.linalg.norm(known) + np.linalg.norm(quadratic)
+    return loop, left, float(np.linalg.norm(left) / size) if size else 0.0
 
 
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
@@ -206,11 +194,7 @@ def _is_stable(loop: AnyArray) -> bool:
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
-    r"""Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` if discrete, for a symmetric Q.
-
-    >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
-    2.0
-    """
+    """Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` if discrete, for a symmetric Q."""
     a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
     X = slicot.lyapunov_solution(a, q, discrete)
     small_residual("lyapunov", 0.5 * (a @ X @ a.T - X) if discrete else a @ X, q, tolerance)
@@ -264,7 +248,6 @@ FAINTEST, STRONGEST = 1e-100, 1e100
 
 
 def system_matrix(m: StateSpaceModel) -> Array:
-    """Return ``[A B; C D]``."""
     return np.block([[m.A, m.B], [m.C, m.D]])
 
 
@@ -272,7 +255,6 @@ def of_system_matrix(
     whole: Array, n: int, dt: float, inputs: Sequence[Signal], outputs: Sequence[Signal], states: Sequence[Signal],
     where: str,
 ) -> StateSpaceModel:  # fmt: skip
-    """Return the model of ``[A B; C D]`` with n states."""
     parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
     return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)
 
@@ -328,14 +310,12 @@ def refuse_extremes(model: StateSpaceModel, where: str) -> None:
 
 
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
-    """Refuse products of finite input that are NaN or infinite."""
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
 
 
 def _exponents(matrix: AnyArray) -> AnyArray:
-    """Return the exponent of every entry, -inf for zeros."""
     return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
 
 

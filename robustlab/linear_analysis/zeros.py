@@ -285,7 +285,6 @@ class Zeros(Displayable):
 
     @property
     def count(self) -> int:
-        """Number of zeros."""
         return len(self)
 
     def headline(self) -> str:

@@ -347,7 +347,6 @@ def eigenvalue_blur(m: StateSpaceModel) -> float:
 
 
 def pole_text(pole: complex) -> str:
-    """Return a pole as a text of messages."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
 
 
@@ -418,7 +417,6 @@ def _within(omega: AnyArray, band: Band) -> AnyArray:
 
 
 def norm_claims(found: HinfNorm) -> list[Claim]:
-    """Claim that the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
     model = found.system
     if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
         return []

@@ -178,7 +178,6 @@ def _numbers_of(place: str, thing: Dataset | Tree) -> set[str]:
 
 
 def _type(node: Tree) -> str:
-    """Return the class of the result in a group; empty where there is none."""
     name = node.datasets.get("type")
     return str(name.values) if name is not None and not isinstance(name.values, Unread) else ""
 

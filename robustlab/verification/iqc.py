@@ -110,7 +110,6 @@ class Filtered:
         return stack([[C, zeros(C.nrows(), gap), D, zeros(C.nrows(), rest)]])
 
     def units(self, first: int, count: int) -> Matrix:
-        """Entries of (x, q) themselves."""
         return exact(np.eye(self.width)[first : first + count])
 
     def output(self, rows: slice) -> Matrix:
@@ -135,7 +134,6 @@ class Filtered:
         return found
 
     def derivative(self, rows: slice) -> Matrix:
-        """Return the derivative of outputs without a direct term."""
         return part(self.G.C, rows, slice(None)) * self.rates[0]
 
 

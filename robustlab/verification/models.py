@@ -109,7 +109,6 @@ def model_of(claim: Claim) -> Model:
 
 
 def static(claim: Claim) -> Model:
-    """Return the matrix ``M`` (p, q), real or complex, as a model without states."""
     M = complex_or_real(claim, "M", (None, None))
     p, q = M.shape
     return Model(zeros(0, 0), zeros(0, q), zeros(p, 0), exact(M), 0.0)
@@ -152,7 +151,6 @@ def reciprocal(G: Model) -> Model | None:
 
 
 def shifted(G: Model, w: float) -> Matrix:
-    """Return the ball matrix ``j w - A`` at the exact frequency ``w``."""
     return exact(1j * w * np.eye(G.n)) - G.A
 
 
@@ -292,7 +290,6 @@ class Quadratic:
 
 
 def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return ``D_w`` (q, q), ``D_z`` (p, p), ``G`` (q, p) of a claim, with these leading axes."""
     D_w, D_z = (complex_or_real(claim, name, (*front, n, n)) for name, n in (("D_w", q), ("D_z", p)))
     return D_w, D_z, complex_or_real(claim, "G", (*front, q, p))
 
@@ -342,7 +339,6 @@ def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
 
 
 def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
-    """Check the blocks' structure of ``delta`` (q, p) to the last bit."""
     rest = delta.copy()
     for i, block in enumerate(blocks):
         own: Any = delta[block.w, block.z]

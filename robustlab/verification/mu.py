@@ -274,7 +274,6 @@ def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
 
 
 def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArray[Any]:
-    """Return the dataset ``delta`` (q, p); InputError where it has not the structure."""
     delta = complex_or_real(claim, "delta", (q, p))
     check_delta(blocks, delta)
     return delta
@@ -382,7 +381,7 @@ def _value_and_slopes(
 
 
 def closed(G: Model, delta: Matrix) -> Matrix | None:
-    r"""Return A of the member, :math:`A + B \Delta (I - D \Delta)^{-1} C`; None where not proved to be well posed."""
+    """Return A of the member; None where not proved to be well posed."""
     N = inverse(identity(G.p) - G.D * delta)
     return None if N is None else G.A + G.B * delta * N * G.C
 

@@ -274,7 +274,6 @@ def eigenvalues(A: Matrix) -> list[acb]:
 
 
 def outside(value: acb, dt: float) -> bool:
-    """Test whether all of the ball is beyond the stability boundary."""
     return bool(value.abs_lower() > 1 if dt else value.real > 0)
 
 
@@ -333,7 +332,6 @@ def in_two_parts(claim: Claim, n: int) -> Matrix:
 
 
 def prove_stable(claim: Claim, work: Work) -> Verdict:
-    """Prove that A (n, n) is stable."""
     A = real(claim, "A", (None, None))
     n = len(real(claim, "A", (len(A), len(A))))
     dt = scalar(claim, "dt", zero=True)
@@ -341,7 +339,6 @@ def prove_stable(claim: Claim, work: Work) -> Verdict:
 
 
 def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
-    """Return the matrix of the bounded real lemma, shape (n + m, n + m)."""
     PA, PB = P * G.A, P * G.B
     if G.dt:
         parts = adjoint(G.A) * PA - P, adjoint(G.A) * PB, adjoint(G.B) * PB
