@@ -35,11 +35,10 @@ Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-h
 
 
 class RiccatiSolution(NamedTuple):
-    """The stabilising X (n, n), the gain ``F = -R^-1 (B^T X + S^T)`` (m, n), and the relative residual."""
+    """The stabilising X (n, n) and the gain ``F = -R^-1 (B^T X + S^T)`` (m, n)."""
 
     X: Array
     gain: Array
-    residual: float
 
 
 @error_context("care")
@@ -49,7 +48,7 @@ def care(
     """Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite."""
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
-        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)))
     try:
         back = np.linalg.inv(r)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -68,7 +67,7 @@ def care(
     X, residual = _refined(X, weighed)
     if not residual <= tolerance:
         raise NoTrustworthyNumber("care", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
+    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T))
 
 
 @error_context("dare")
@@ -81,7 +80,7 @@ def dare(
     """
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
-        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)))
     from scipy.linalg import solve_discrete_are
 
     with judged_afterwards():
@@ -95,8 +94,8 @@ def dare(
             stable = False
     if not stable:
         raise NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
-    residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + coupling.T @ gain), q, tolerance)
-    return RiccatiSolution(X, gain, residual)
+    small_residual("dare", 0.5 * (a.T @ X @ a - X + coupling.T @ gain), q, tolerance)
+    return RiccatiSolution(X, gain)
 
 
 def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
@@ -201,13 +200,12 @@ def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: f
     return X
 
 
-def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> float:
+def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
     """Refuse a solution of ``half + half^T + known = 0`` with a residual above this share of its terms."""
     size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
     residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return residual
 
 
 @contextmanager
