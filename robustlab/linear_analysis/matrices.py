@@ -83,17 +83,18 @@ def dare(
         return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)))
     from scipy.linalg import solve_discrete_are
 
+    none = NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
     with judged_afterwards():
         try:
             X = solve_discrete_are(a, b, q, r, s=s)
             X = 0.5 * (X + X.T)
             coupling = b.T @ X @ a + s.T
             gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
-            stable = np.abs(np.linalg.eigvals(a + b @ gain)).max() < 1
+            largest = np.abs(np.linalg.eigvals(a + b @ gain)).max()
         except (np.linalg.LinAlgError, ValueError):  # of entries that are not finite, too
-            stable = False
-    if not stable:
-        raise NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
+            raise none from None
+    if not largest < 1:
+        raise none
     small_residual("dare", 0.5 * (a.T @ X @ a - X + coupling.T @ gain), q, tolerance)
     return RiccatiSolution(X, gain)
 
