@@ -49,29 +49,26 @@ def hinf(
 
     .. math:: \min_K \|F_l(P, K)\|_\infty, \qquad F_l(P, K) = P_{11} + P_{12} K (I - P_{22} K)^{-1} P_{21}
 
-    Two Riccati equations (Glover, Doyle 1988; general D11, D22) on a regularised plant in two scalings. Nothing is
-    assumed about the ranks of D12 and D21 or about zeros on the axis; every controller is verified on P as given, and
-    gamma is the verified norm of the loop rebuilt from the returned K. A discrete P is mapped by the bilinear rule and
-    verified in discrete time. Zhou, Doyle, Glover 1996, chapters 16 and 17.
+    Two Riccati equations (Glover, Doyle 1988; Zhou, Doyle, Glover 1996, chapters 16 and 17) on a regularised plant in
+    two scalings, for any ranks of D12 and D21 and any zeros. Every controller is verified on P as given, a discrete one
+    in discrete time; gamma is the verified norm of the loop rebuilt from the returned K.
 
-    The controller ``u = K(rho) y`` of a scheduled plant (`LPVModel`) is scheduled by the same measured parameters and
-    does not need their rates; gamma bounds the induced gain over all their trajectories, by a quadratic Lyapunov
-    function (Apkarian, Gahinet, Becker 1995; Wu, Yang, Packard, Becker 1996):
-
-    .. math:: \min_{K(\cdot)} \; \sup_{\rho(\cdot)} \sup_{w \ne 0} \|z\|_2 / \|w\|_2
+    The controller ``u = K(rho) y`` of an `LPVModel` is scheduled by the same measured parameters, without their rates;
+    gamma bounds the induced gain :math:`\|z\|_2 / \|w\|_2` over all their trajectories, by a quadratic Lyapunov
+    function (Apkarian, Gahinet, Becker 1995; Wu, Yang, Packard, Becker 1996).
 
     Parameters
     ----------
     P
         Generalised plant: `GeneralizedPlant`, StateSpaceModel, UncertainModel (with its perturbation channels as w and
         z), `LPVModel`, or python-control object; inputs [w; u], outputs [z; y], the ``n_con`` controls and ``n_meas``
-        measurements last. An LPV model has no direct term from u to y; where its B2, C2, D12 or D21 depend on the
-        parameters the loop bends between the points, and a finer grid (`LPVModel.refined`) reduces the loss.
+        measurements last. An LPV model has no direct term from u to y; where its B2, C2, D12 or D21 vary, a finer grid
+        (`LPVModel.refined`) reduces the loss between the points.
     n_meas, n_con
         Numbers of measurements and controls; omitted for a `GeneralizedPlant`.
     gamma_rel
-        Largest ratio of gamma of the returned controller to the smallest gamma found (>= 1); within it the controller
-        with the slowest poles is returned. 1 gives the smallest gamma, whose controller often is too fast.
+        Largest ratio of gamma to the smallest gamma found (>= 1); within it the controller with the slowest poles is
+        returned. 1 gives the smallest gamma, whose controller often is too fast.
     time_limit, effort
         s, after which the controller verified by then is returned with status TIMEOUT, which depends on the machine;
         multiple of the usual work, counted, not timed.
@@ -87,9 +84,8 @@ def hinf(
     Raises
     ------
     InputError, NoTrustworthyNumber
-        Numbers of channels that P does not have, ``gamma_rel`` below 1, an option that P's type does not have. A mode
-        that no controller can stabilise (named), or no controller could be verified; the LMIs of an LPV model have no
-        solution.
+        Channels or an option that P does not have, ``gamma_rel`` below 1. A mode that no controller can stabilise
+        (named), no controller could be verified, or the LMIs of an LPV model have no solution.
 
     Examples
     --------

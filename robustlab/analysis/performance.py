@@ -32,10 +32,9 @@ INNER = 0.25  # each of them is proved to this share of the tolerance, less wher
 class RobustGain(Bracket):
     """Largest size of a set for which every member's gain is below ``level``.
 
-    Every member of the set ``lower`` times as large has a gain below ``level``, proved; the member ``delta`` of the set
-    ``upper`` times as large reaches it at ``frequency``, rad/s. Both are 0 where the nominal model reaches it;
-    ``upper`` is inf where no member of the largest set does. Above 1 the set as given stays below the level. CERTIFIED
-    where the bounds are as close as requested; else INCONCLUSIVE.
+    ``lower`` is proved; the member ``delta`` of the set ``upper`` times as large reaches the level at ``frequency``,
+    rad/s. Both are 0 where the nominal model reaches it; ``upper`` is inf where no member of the largest set does.
+    CERTIFIED where the bounds are as close as requested; else INCONCLUSIVE.
     """
 
     level: float  # in the unit of the outputs over that of the inputs

@@ -1,18 +1,11 @@
 r"""Rational delays: the diagonal Padé approximation of any order, and a proved bound of its error at all frequencies.
 
-With :math:`Q_n` the denominator, :math:`Q_n(0) = 1`, the approximation of :math:`e^{-s}` is :math:`R_n(s) = Q_n(-s) /
-Q_n(s)`. At :math:`s = jx` both have modulus one, so their difference is one of phase,
+With :math:`R_n(s) = Q_n(-s) / Q_n(s)`, :math:`Q_n(0) = 1`, the approximation of :math:`e^{-s}`, for all x >= 0
 
-.. math:: |e^{-jx} - R_n(jx)| = 2 \left| \sin \tfrac12 \theta_n(x) \right|, \qquad \theta_n(x) = x - 2 \arg Q_n(jx),
-   \qquad \theta_n'(x) = \left( \frac{n!}{(2n)!} \right)^2 \frac{x^{2n}}{|Q_n(jx)|^2} \ge 0 .
+.. math:: |e^{-jx} - R_n(jx)| = 2 \left| \sin \tfrac12 \theta_n(x) \right| \le \min(2, c_n x^{2n+1}), \qquad
+   \theta_n'(x) = \left( \frac{n!}{(2n)!} \right)^2 \frac{x^{2n}}{|Q_n(jx)|^2}, \qquad |Q_n(jx)| \ge 1 .
 
-All coefficients of :math:`|Q_n(jx)|^2` in :math:`x^2` are positive, hence :math:`|Q_n(jx)| \ge 1`, and
-
-.. math:: |e^{-jx} - R_n(jx)| \le \min(2, c_n x^{2n+1}), \qquad c_n = \left( \frac{n!}{(2n)!} \right)^2
-   \frac{1}{2n+1} \qquad \text{for all } x \ge 0 .
-
-Both facts about :math:`Q_n` are statements about polynomials with whole coefficients; `phase_bound` checks them for its
-order, without rounding. Lam, "Model reduction of delay systems using Padé approximants", Int. J. Control 57 (1993).
+Lam, "Model reduction of delay systems using Padé approximants", Int. J. Control 57 (1993).
 """
 
 from __future__ import annotations
@@ -83,10 +76,8 @@ def phase_error(x: ArrayLike, order: int) -> Array:
 def pade(delay: float, order: int) -> StateSpaceModel:
     r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
 
-    A signal on its way, as a sum of Legendre polynomials (Lanczos's tau method): lossless, :math:`A + A^T = -B B^T` and
-    :math:`C = \mp B^T`. Both Gramians are the identity, so it is balanced, and its modulus is one at every frequency.
-
-    ``delay``: in s, positive. ``order``: 1 to 40; 0 is the gain 1.
+    Its states are coefficients of Legendre polynomials (Lanczos's tau method): it is lossless and balanced, as :math:`A
+    + A^T = -B B^T`, :math:`C = \mp B^T`. ``delay``: in s, positive. ``order``: 1 to 40; 0 is the gain 1.
     """
     if not 0 < delay < np.inf:
         raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")
@@ -123,13 +114,11 @@ class ErrorWeight(NamedTuple):
 def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWeight:
     r"""Return the weight with the highest corner that the proof below allows; for all delays of 1 +- ``spread``.
 
-    With :math:`\theta_n \ge 0` the phase of :math:`e^{-jx(1+\delta)}` is off by at most :math:`\theta_n + s x`, s the
-    spread; the error rises with it, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` is used. Without
-    a spread :math:`x^{2k} (g^2 / (c_n x^{2n+1})^2 - 1)` falls with x there, as k is at most 2n + 1, and so the end of
-    that interval decides; with one, r is the largest slope of the error there, and W
-    is above the smaller of r x and g everywhere. Each cell after it uses that the error rises: with x at its
-    beginning and E at its end :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2) \ge 0`. Where the phase has reached
-    :math:`\pi` the error is bounded by 2, and the left side still rises.
+    The phase of :math:`e^{-jx(1+\delta)}` is off by at most :math:`\theta_n + s x`, s the spread; the error rises with
+    it, up to 2. Below the first cell the bound :math:`c_n x^{2n+1}` decides at the end of that interval, as k is at
+    most 2n + 1; with a spread r is the largest slope of the error there, and W is above the smaller of r x and g. In
+    each cell after it, x its beginning and E the error at its end, :math:`a^{2k} (r^2 x^2 - E^2) + x^{2k} (g^2 - E^2)
+    \ge 0` is required. Where the phase has reached :math:`\pi` the error is at most 2, and the left side still rises.
     """
     c, power, s = phase_bound(order), 2 * order + 1, spread
     if s and not order:  # no approximation: the error is that of the longest delay
@@ -165,9 +154,8 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
 def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> StateSpaceModel:
     r"""High-pass :math:`g s \prod_i (s - q_i) / \prod_i (s - p_i)`, poles and zeros on the circles of the given radii.
 
-    They are placed as Butterworth's poles, in rad/s, so that the squared moduli are :math:`\omega^{2k} + a^{2k}` and
-    :math:`\omega^{2k-2} + z^{2k-2}`. The sections of first and second order that have zeros at 0 block a constant
-    exactly, so that the product is small at low frequencies with all its digits.
+    They are Butterworth's, in rad/s, with the squared moduli :math:`\omega^{2k} + a^{2k}` and :math:`\omega^{2k-2} +
+    z^{2k-2}`. Sections with zeros at 0 block a constant exactly: at low frequencies the product keeps its digits.
     """
     whole = StateSpaceModel([], [], [], [[gain]])
     pairs = _circle(zero, order - 1) if zero else [(0.0, 0.0)] * (order // 2)

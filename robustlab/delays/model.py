@@ -23,7 +23,8 @@ from robustlab.delays.approximation import SHORTEST, checked_order, error_weight
 from robustlab.display import Displayable, Facts, listed, number, short, with_units
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import wired
-from robustlab.linear_analysis.frequency import CHUNK, at_pole, frequency_response
+from robustlab.linear_analysis.frequency import CHUNK, frequency_response, solved_on_axis
+from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.signals import Signal, is_constant, picked, real_array
@@ -142,33 +143,22 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         w = real_array("omega", np.atleast_1d(omega), 1, "frequency_response")
         if not len(self.delays):
             return frequency_response(self.H, w)
-        try:
-            return self._solved(1j * w)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber("frequency_response", *at_pole(w, 1j * w, self._solved)) from None
+        return solved_on_axis(self._solved, w, 1j * w)
 
     def values_at(self, s: ComplexArray) -> ComplexArray:
-        """Return the transfer matrix ``G(s)`` at complex numbers (n,), shape (n, n_y, n_u)."""
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):
-                found = self._solved(s)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+        """Return the transfer matrix ``G(s)`` at (n,), shape (n, n_y, n_u); numpy's LinAlgError at a pole."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = self._solved(s)
         if not np.isfinite(found).all():
             raise NoTrustworthyNumber("G(s)", "exp(s tau) overflows", "a real part below 700 / tau")
         return found
 
     def _solved(self, s: ComplexArray) -> ComplexArray:
         """Return the transfer matrix at s; raises numpy's LinAlgError at a pole."""
-        from scipy.linalg import matrix_balance
-
         # Unknowns: states and outputs of delays, balanced.
         H, k, n = self.H, len(self.delays), self.H.n_states
-        inner, scale = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]]), np.ones(n + k)
-        if len(scale):
-            with np.errstate(invalid="ignore"):  # scipy casts the scales to an unused permutation
-                balanced: Any = matrix_balance(inner, permute=False, separate=True)
-            scale = np.asarray(balanced[1][0], dtype=float)
+        inner = np.block([[H.A, H.B[:, :k]], [H.C[:k], H.D[:k, :k]]])
+        scale = balancing_factors(inner)
         inner = inner / scale[:, None] * scale
         B, C = np.vstack([H.B, H.D[:k]])[:, k:] / scale[:, None], np.hstack([H.C, H.D[:, :k]])[k:] * scale
         found, place = np.empty((len(s), *H.D[k:, k:].shape), dtype=complex), np.arange(n + k)
@@ -195,10 +185,9 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
            \text{ for all } \omega
 
-        That is proved for all frequencies, not on a grid: see `robustlab.delays.approximation`. :math:`\Delta` is
-        stable, because the error is, and has all zeros of the weight, which are at s = 0. A proof for the
-        set (`robust_stability`, `peak_gain`) therefore holds for the model with its delays. Delays of one length share
-        one repeated block. Delays known within a range only: `with_delays`.
+        That is proved for all frequencies, and :math:`\Delta` is stable: a proof for the set (`robust_stability`,
+        `peak_gain`) holds for the model with its delays. Delays of one length share one repeated block. Delays known
+        within a range only: `with_delays`.
 
         Parameters
         ----------
@@ -477,10 +466,8 @@ def _held_bank(delays: list[tuple[float, float]], signals: Sequence[Signal], ord
     """Return a diagonal set that holds the delays of each signal; to 12 digits, which the weights cover."""
     parts = [
         covering(float(f"{(a + b) / 2:.12g}"), float(f"{(b - a) / 2:.12g}"), order, 3, f"{s.name}: ")
-        if b
-        else as_uncertain(1.0)
-        for (a, b), s in zip(delays, signals, strict=True)
-    ]
+        if b else as_uncertain(1.0) for (a, b), s in zip(delays, signals, strict=True)
+    ]  # fmt: skip
     n = len(parts)
     return interconnected(parts, Wiring(np.zeros((n, n)), np.eye(n), np.eye(n)), signals, signals, "with_delays")
 
@@ -504,11 +491,10 @@ def _shifts(delays: list[tuple[float, float]], dt: float) -> StateSpaceModel:
 
 # --- responses over time ----------------------------------------------------------------------------------------------
 #
-# The method of steps on a mesh of samples and their delayed times, between which signals are smooth: polynomials
-# of inputs and of signals in the delays go through matrix exponentials without error (Van Loan 1978). A signal in a
-# delay inside a loop, or between two dynamic parts, is no polynomial: it is stored at Chebyshev points of each cell.
-# Cells that do not resolve it are halved, and at the end all of them, until the response at the samples no longer
-# changes. Bellen, Zennaro, Numerical Methods for Delay Differential Equations.
+# The method of steps on a mesh of samples and their delayed times, between which signals are smooth (Bellen, Zennaro,
+# Numerical Methods for Delay Differential Equations): polynomials go through matrix exponentials without error (Van
+# Loan 1978). A signal in a delay inside a loop is no polynomial: it is stored at Chebyshev points of each cell, and
+# cells that do not resolve it are halved.
 
 
 def delayed_response(model: DelayedModel, t: Array, u: Array, x0: Array, hold: Hold, rtol: float) -> Array:

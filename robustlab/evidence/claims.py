@@ -1,6 +1,7 @@
 """Claims of results, for `robustlab.verify`: bounds of mu, margins and gains; designs, reductions, sets and covers.
 
-Of a loop the plant and K are stored: the checker forms the loop in balls.
+Each function returns the claims of one class of results. Of a loop the plant and K are stored: the checker forms the
+loop in balls.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
-from robustlab.mu_analysis.matrix.bounds import BoxProof, MuBounds
+from robustlab.mu_analysis.matrix.bounds import MuBounds
 from robustlab.mu_analysis.matrix.branch_and_bound import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.upper import WORK
 from robustlab.norms import H2Norm, HinfNorm, hinf_norm
@@ -59,13 +60,13 @@ from robustlab.uncertainty.elementwise import BuiltModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 
+_diagonal: Any = block_diag  # its types are not declared
 SAME = 1e-10  # of a range: sides of boxes nearer than this are equal
 TOLERANCE = 1e-12  # for the rounding of a stored approximation and of its weight, which are not exactly zero at zero
 GRID = np.geomspace(1e-2, 1e4, 20_000)  # frequencies times the delay, for the search of the far end
 
 
 def mu_claims(found: MuBounds) -> list[Claim]:
-    """Return the claims of both bounds of each matrix."""
     if found.M is None:
         return []
     every = found.M.reshape(-1, *found.M.shape[-2:])
@@ -76,7 +77,11 @@ def mu_claims(found: MuBounds) -> list[Claim]:
         D, D_z, G, delta = (stack[k] for stack in stacks)
         upper, lower = (float(np.ravel(x)[k]) for x in (found.upper, found.lower))
         if found.proof and (proof := found.proof[k]):
-            claims.append(_boxes_claim(M, found.blocks, upper, proof))
+            # no Delta below the inverse of the bound by branch and bound makes I - M Delta singular
+            everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
+            boxes = _boxes(found.blocks, everywhere, 1 / (upper * ABOVE), float)
+            levels = _levels(found.blocks, upper * ABOVE)
+            claims.append(Claim("mu-upper-boxes", {"M": M, "blocks": rows, "level": levels, **boxes}))
         elif np.isfinite(upper) and upper > 0:
             levels = _kept_levels(found, upper * ABOVE)
             if found.fixed:  # G is that of M with its inputs divided by the level
@@ -87,14 +92,6 @@ def mu_claims(found: MuBounds) -> list[Claim]:
             levels = _kept_levels(found, lower)
             claims.append(Claim("mu-lower", {"M": M, "blocks": rows, "level": levels, "delta": delta}))
     return claims
-
-
-def _boxes_claim(M: NDArray[Any], blocks: Sequence[Block], upper: float, proof: BoxProof) -> Claim:
-    """Return the claim of a bound by branch and bound: no Delta below its inverse makes I - M Delta singular."""
-    level = upper * ABOVE
-    everywhere = [(box, Piece(0.0, np.inf, 1.0, bound)) for box, bound in proof]
-    numbers = {"M": M, "blocks": block_rows(blocks), "level": _levels(blocks, level)}
-    return Claim("mu-upper-boxes", {**numbers, **_boxes(blocks, everywhere, 1 / level, float)})
 
 
 def _kept_levels(found: MuBounds, level: float) -> NDArray[np.float64]:
@@ -129,13 +126,14 @@ def margin_claims(found: Margin) -> list[Claim]:
         delta = np.asarray(delta_matrix(blocks, found.delta))
         ranges = {} if _symmetric(blocks) else {"ranges": _ranges(blocks)}
         claims.append(Claim("unstable-member", {**common, **ranges, "level": _attained(blocks, delta), "delta": delta}))
-    return claims + weight_claims(blocks)
+    return claims + weight_claims(uncertain)
 
 
-def gain_claims(found: WorstCaseGain) -> list[Claim]:
-    """Return the claim that no member has a larger gain than ``upper``."""
-    uncertain = found.system
-    if uncertain is None or not np.isfinite(found.upper) or not found.proof:
+def gain_claims(found: WorstCaseGain | RobustGain | None) -> list[Claim]:
+    """Return the claim that no member has a larger gain than ``upper``; of a `RobustGain` that of its proof."""
+    if isinstance(found, RobustGain):
+        return gain_claims(found.proof)
+    if found is None or (uncertain := found.system) is None or not np.isfinite(found.upper) or not found.proof:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
     blocks, at = (*uncertain.blocks, performance), partial(model_frequency, uncertain)
@@ -147,12 +145,7 @@ def gain_claims(found: WorstCaseGain) -> list[Claim]:
         claim = Claim("worst-gain-boxes", {**numbers, **_boxes(blocks, proved, 1.0, at)})
     else:
         claim = Claim("worst-gain", {**numbers, **interval_scalings(found.proof, at)})
-    return [claim, *weight_claims(blocks)]
-
-
-def robust_gain_claims(found: RobustGain) -> list[Claim]:
-    """Return the claim that no member of the set ``lower`` times as large has a larger gain."""
-    return gain_claims(found.proof) if found.proof is not None else []
+    return [claim, *weight_claims(uncertain)]
 
 
 def _symmetric(blocks: Sequence[Block]) -> bool:
@@ -206,7 +199,6 @@ def _snapped(sides: NDArray[np.float64], whole: NDArray[np.float64]) -> NDArray[
 
 
 def _ranges(blocks: Sequence[Block]) -> NDArray[np.float64]:
-    """Return the ends of each real block's range in Delta, for a set of size one; -1, 1 of other blocks."""
     return np.array([b.interval or (-1.0, 1.0) for b in blocks], dtype=float)
 
 
@@ -217,7 +209,6 @@ def _attained(blocks: Sequence[Block], delta: NDArray[Any]) -> NDArray[np.float6
 
 
 def coprime_claims(found: CoprimeMargin) -> list[Claim]:
-    """Return the claim of a stable loop with a four-block norm of at most one over ``lower``."""
     if found.plant is None or found.K is None or not found.lower > 0:
         return []
     return loop_claims(four_block(found.plant), found.K, 1 / found.lower)
@@ -245,14 +236,12 @@ def one_disk_claims(found: DiskMargin) -> list[Claim]:
 
 
 def delayed_stability_claims(found: DelayStability) -> list[Claim]:
-    """Return the claim, if proved, that every member of the set, which contains the delayed model, is stable."""
     if found.system is None or not found.stable:
         return []
     return _claims_of_set("delayed-stable", found.system, found.proof, [], {})
 
 
 def delayed_gain_claims(found: DelayGain) -> list[Claim]:
-    """Return the claim that no member has a gain above ``upper``."""
     if found.system is None or not np.isfinite(found.upper):
         return []
     block = FullBlock("performance", found.system.n_inputs, found.system.n_outputs)
@@ -260,7 +249,6 @@ def delayed_gain_claims(found: DelayGain) -> list[Claim]:
 
 
 def _delayed_disk_claims(found: DiskMargin, system: DelayedModel) -> list[Claim]:
-    """Return the claim of the bound of mu of the deltas, with the blocks of the delays."""
     if found.proof is None:
         return []
     blocks = [ComplexScalar(name) for name in found.factor] or [ComplexScalar("delta")]
@@ -281,18 +269,13 @@ def _claims_of_set(
     if scalings is None:
         return []
     rows = {**model_numbers(M), "blocks": block_rows(held.blocks)}
-    return [Claim(kind, {**rows, **numbers, **scalings}), *weight_claims(held.blocks)]
+    return [Claim(kind, {**rows, **numbers, **scalings}), *weight_claims(held)]
 
 
-def delay_claims(found: UncertainModel) -> list[Claim]:
-    """Return the claims that the weights of the set's delays cover them."""
-    return weight_claims(found.blocks)
-
-
-def weight_claims(blocks: Sequence[Block]) -> list[Claim]:
+def weight_claims(uncertain: UncertainModel) -> list[Claim]:
     """Return for each block of a delay the claim that its weight bounds the approximation's error."""
     claims: list[Claim] = []
-    for covered in dict.fromkeys(b.covers for b in blocks if b.covers is not None):
+    for covered in dict.fromkeys(b.covers for b in uncertain.blocks if b.covers is not None):
         tau, spread, order, slope = covered
         R, W = pade(tau, order), error_weight(order, slope, spread / tau).scaled(tau)
         low, high = max(tau - spread, 0.0), tau + spread
@@ -314,12 +297,10 @@ ROUNDING = 1e-14  # of the largest entry: allowance in addition to a member's st
 
 
 def hinf_claims(found: Synthesis) -> list[Claim]:
-    """Return the claim of a stable loop with an H-infinity norm of at most ``gamma``."""
     return loop_claims(found.plant.model, found.K, found.gamma)
 
 
 def h2_claims(found: Synthesis) -> list[Claim]:
-    """Return the claim of a stable loop with an H2 norm of at most ``gamma``."""
     return h2_loop_claims(found.plant.model, found.K, found.gamma)
 
 
@@ -335,23 +316,17 @@ def fixed_claims(found: FixedSynthesis) -> list[Claim]:
         if found.gamma != found.worst.upper:
             return []
         numbers = loop_numbers(found.plants[0].model, found.K)
-        return [
-            _of_loop(claim, numbers) if claim.kind != "delay-weight" else claim for claim in gain_claims(found.worst)
-        ]
-    make = loop_claims if found.objective == "hinf" else h2_loop_claims
-    return [
-        c for plant, gamma in zip(found.plants, found.gammas, strict=True) for c in make(plant.model, found.K, gamma)
-    ]
+        return [c if c.kind == "delay-weight" else _of_loop(c, numbers) for c in gain_claims(found.worst)]
+    return _every_plant(found.K, found.plants, found.gammas, found.objective)
 
 
 def tuned_claims(found: TunedSynthesis) -> list[Claim]:
-    """Return the claims of the value of every goal for every plant: a norm of its weighted loop."""
-    return [
-        claim
-        for goal in found.goals
-        for plant, value in zip(goal.plants, goal.values, strict=True)
-        for claim in (loop_claims if goal.norm == "hinf" else h2_loop_claims)(plant.model, found.K, value)
-    ]
+    return [c for goal in found.goals for c in _every_plant(found.K, goal.plants, goal.values, goal.norm)]
+
+
+def _every_plant(K: StateSpaceModel, plants: Sequence[Any], values: Sequence[float], norm: str) -> list[Claim]:
+    make = loop_claims if norm == "hinf" else h2_loop_claims
+    return [claim for plant, value in zip(plants, values, strict=True) for claim in make(plant.model, K, value)]
 
 
 def reduced_controller_claims(found: ReducedController) -> list[Claim]:
@@ -371,7 +346,6 @@ def _of_loop(claim: Claim, numbers: Numbers) -> Claim:
 
 
 def dk_claims(found: DKSynthesis) -> list[Claim]:
-    """Return the claim that mu of the loop is at most ``gamma`` at all frequencies, by constant D, G on intervals."""
     level, pieces = found.gamma * ABOVE, found.pieces
     if not pieces:
         loop = found.plant.close(found.K)
@@ -445,10 +419,8 @@ def set_claims(found: BuiltModel) -> list[Claim]:
         **{key: value for key, value in model_numbers(found.model.M).items() if key != "dt"},
         **matrices(nominal, "{}0"), **matrices(perturbed, "{}1"), "blocks": block_rows(found.model.blocks),
     }  # fmt: skip
-    pairs = [
-        pair for name in "ABCD"
-        for pair in zip(*(getattr(end, name).ravel().tolist() for end in found.ends), strict=True)
-    ]  # fmt: skip
+    first, last = (np.concatenate([getattr(end, name).ravel() for name in "ABCD"]).tolist() for end in found.ends)
+    pairs = zip(first, last, strict=True)
     off = max((abs(float(Fraction(y) - Fraction(x) - Fraction(y - x))) for x, y in pairs), default=0.0)
     return [Claim("set", numbers if off == 0 else {**numbers, "tolerance": np.array(off)})]
 
@@ -516,7 +488,3 @@ def _inside(model: StateSpaceModel, centre: StateSpaceModel, weight: StateSpaceM
     level = 1.0 if size < 1.0 else above(size)
     numbers = loop_numbers(P, K)
     return Claim("loop-norm", {**numbers, "gamma": np.array(level), **norm_matrix(loop, level, size, numbers)})
-
-
-def _diagonal(*parts: Any) -> Any:
-    return block_diag(*parts)

@@ -20,7 +20,7 @@ CLAIMS: Mapping[str, str] = {
     "MuBounds": "evidence.claims.mu_claims",
     "Margin": "evidence.claims.margin_claims",
     "WorstCaseGain": "evidence.claims.gain_claims",
-    "RobustGain": "evidence.claims.robust_gain_claims",
+    "RobustGain": "evidence.claims.gain_claims",
     "HinfSynthesis": "evidence.claims.hinf_claims",
     "NcfSynthesis": "evidence.claims.ncf_claims",
     "H2Synthesis": "evidence.claims.h2_claims",
@@ -36,31 +36,20 @@ CLAIMS: Mapping[str, str] = {
     "Cover": "evidence.claims.cover_claims",
     "DelayStability": "evidence.claims.delayed_stability_claims",
     "DelayGain": "evidence.claims.delayed_gain_claims",
-    "UncertainModel": "evidence.claims.delay_claims",
+    "UncertainModel": "evidence.claims.weight_claims",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Verified(Displayable):
-    """Verdicts on the claims of a result.
+    """Verdicts on the claims of a result."""
 
-    Attributes
-    ----------
-    status
-        CERTIFIED: all were proved. INCONCLUSIVE: one was not, and none was refuted. FAILED: one was refuted.
-    claims
-        Each claim in words, its outcome, the proved number, the reason of a failure, and the number of tests; for a
-        file also its displayed numbers, compared with the proved ones.
-    not_covered
-        The numbers in a file that no claim covers.
-    notes
-        Remarks on the file.
-    """
-
-    status: Status
+    status: Status  #: CERTIFIED: all were proved. INCONCLUSIVE: one was not, none refuted. FAILED: one was refuted
+    #: Each claim in words, its outcome, the proved number, the reason of a failure, and the number of tests; for a file
+    #: also its displayed numbers, compared with the proved ones
     claims: tuple[Verification, ...]
-    not_covered: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    not_covered: tuple[str, ...] = ()  #: The numbers in a file that no claim covers
+    notes: tuple[str, ...] = ()  #: Remarks on the file
 
     quantities: ClassVar[Mapping[str, Any]] = {"proved": bool, "refuted": bool, "boxes": "1"}
 

@@ -3,10 +3,8 @@ r"""Worst-case gain and stability by integral quadratic constraints, also of a l
 .. math:: z = M_{11} w + M_{12} u, \quad y = M_{21} w + M_{22} u, \quad w = \Delta(z), \qquad
           \|y\|_2 \le \gamma \|u\|_2 \text{ for all } u \in L_2 \text{ and all } \Delta \text{ of the class}
 
-Every range is first centred, so that the class of each block contains zero: with every Delta, tau Delta belongs to it
-for tau in [0, 1], the homotopy of Megretski and Rantzer (1997), and at tau = 0 the model is stable. The loop is well
-posed for all of them: where w acts on z without delay, only constraints are used that hold for differences of signals
-too, and the inequality is strict at infinite frequency.
+Every range is first centred, so that tau Delta is of the class of each Delta for tau in [0, 1] (Megretski, Rantzer
+1997), and the model, at tau = 0, is stable. The theorem and why the loop is well posed: docs/proofs.md.
 """
 
 from __future__ import annotations
@@ -30,6 +28,7 @@ from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
 from robustlab.iqc.inequality import Filtered, Form, Inequality, Point, filter_order, law, linear
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain, balancing_units, hinf_norm
+from robustlab.norms.claims import block_rows
 from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import Block, RealScalar, block_slices
@@ -90,9 +89,9 @@ class Posed(Evidence):
 class IqcGain(PeakGain):
     """Bounds of the worst L2 gain over all blocks of their classes.
 
-    ``upper`` is proved for every block of its class; ``lower`` is the gain of a member in which all blocks are constant
-    gains. CERTIFIED: ``upper`` was proved in ball arithmetic. INCONCLUSIVE: nothing was proved, the loop may be stable.
-    INFEASIBLE: the member ``delta`` is unstable. TIMEOUT: the time limit ended the search.
+    ``lower`` is the gain of a member in which all blocks are constant gains. CERTIFIED: ``upper`` was proved in ball
+    arithmetic for every block of its class. INCONCLUSIVE: nothing was proved. INFEASIBLE: the member ``delta`` is
+    unstable. TIMEOUT: the time limit ended the search.
     """
 
     delta: Mapping[str, float]  # that member: one normalised value per block; 0 is the middle of a range
@@ -113,9 +112,9 @@ class IqcGain(PeakGain):
 class IqcStability(StabilityMargin):
     """Stability for all blocks of their classes.
 
-    ``lower`` is the largest proved size: the factor by which every range is enlarged about its middle, and the slopes
-    with it; 0 where nothing was proved. Unstable members are not searched: ``upper`` is inf. CERTIFIED: ``lower`` was
-    proved in ball arithmetic. INCONCLUSIVE: it is 0. TIMEOUT: the time limit ended the search; ``lower`` holds.
+    ``lower`` is the largest size proved in ball arithmetic (CERTIFIED), the factor by which every range is enlarged
+    about its middle, and the slopes with it; 0 where none was (INCONCLUSIVE). Unstable members are not searched:
+    ``upper`` is inf. TIMEOUT: the time limit ended the search; ``lower`` holds.
     """
 
     nature: Mapping[str, str]
@@ -272,7 +271,6 @@ def effect_gain(
 def _natures(
     plant: ExtendedPlant, made: EffectBlocks, amplitude: Mapping[str, float], slow: Mapping[str, float]
 ) -> dict[str, Nature]:
-    """Return block name -> nature of every effect's block; parameters stay constants."""
     effects, found = {e.key: e for e in plant.effects}, dict[str, Nature]()
     for block in made.model.blocks:
         e = effects.get(block.name.rstrip("'"))
@@ -302,7 +300,6 @@ def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size:
     M, blocks, natures = posed.model, posed.blocks, posed.natures
     q, p = UncertainModel(M, blocks).delta_shape if gamma is None else (M.n_inputs, M.n_outputs)
     level = {"size": np.array(size)} if gamma is None else {"gamma": np.array(gamma)}
-    rows = [(0 if b.interval else 1 if b.is_scalar else 2, b.rows, b.cols) for b in blocks]
     slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in natures]
     kinds = [
         (3 if n.slope else 2, int(n.odd), int(n.steady)) if isinstance(n, Nonlinearity) else (int(n is not None), 0, 0)
@@ -310,7 +307,7 @@ def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size:
     ]
     return Claim("iqc-size" if gamma is None else "iqc-gain", {
         "A": M.A, "B": M.B[:, :q], "C": M.C[:p], "D": M.D[:p, :q], "dt": np.array(0.0),
-        "blocks": np.array(rows, dtype=np.int64).reshape(-1, 3), "nature": np.array(kinds, dtype=np.int64),
+        "blocks": block_rows(blocks), "nature": np.array(kinds, dtype=np.int64),
         "ranges": posed.ranges, "slope": np.array(slopes, dtype=float).reshape(-1, 2),
         "rate": np.array([n.rate if isinstance(n, Varying) else np.inf for n in natures], dtype=float),
         "pole": np.array(proof.pole), "order": np.array(proof.order, dtype=np.int64), "P": proof.P,

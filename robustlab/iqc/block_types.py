@@ -108,9 +108,8 @@ class Nonlinearity:
     def friction(cls, level: float, stick_speed: float | None = None) -> Nonlinearity:
         r"""Dry friction :math:`F \max(-1, \min(1, v / v_s))`: odd, monotone, slope and sector [0, F / v_s].
 
-        Coulomb's law, :math:`F \operatorname{sgn} v`, is monotone with the sector :math:`[0, \infty)`. A joint may
-        stick away from zero with a constant force: neither force nor position is in L2, and no gain to the position is
-        finite. It is rejected.
+        Coulomb's law, :math:`F \operatorname{sgn} v`, is rejected: a joint may stick away from zero with a constant
+        force, and then no gain to the position is finite.
 
         ``level``: F. ``stick_speed``: v_s, below which the force grows in proportion to the speed.
         """

@@ -1,17 +1,14 @@
 r"""Multipliers, the integral quadratic constraints of blocks with unknowns, and the inequality that a solver takes.
 
-.. math:: \int_0^\infty v^T M v \, dt \ge 0, \qquad v = \Psi (z, w), \quad M = M(\lambda) \text{ linear}
-
-for all z in L2 and w the block's output, with the filters :math:`\psi = (1, \frac{a}{s + a}, \dots, (\frac{a}{s +
-a})^\nu)`; the constraints of each block and the order of their unknowns are those of
-`robustlab.verification.iqc`. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
+The constraints :math:`\int_0^\infty v^T M v \, dt \ge 0`, :math:`v = \Psi (z, w)`, and the order of their unknowns
+lambda are those of docs/proofs.md. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
 
 .. math:: \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix}
     + \sum_i \begin{bmatrix} C_i & D_i \end{bmatrix}^T M_i(\lambda) \begin{bmatrix} C_i & D_i \end{bmatrix}
     + \begin{bmatrix} C_z & D_z \end{bmatrix}^T \begin{bmatrix} C_z & D_z \end{bmatrix} - \gamma^2 E \prec 0
 
-P is symmetric, of either sign: A is stable by itself. The solver's P and lambda are only candidates: they are proved in
-ball arithmetic for the given model (`robustlab.verification.iqc`).
+P is symmetric, of either sign: A is stable by itself. The solver's P and lambda are only candidates, which
+`robustlab.verification.iqc` proves in ball arithmetic for the given model.
 """
 
 from __future__ import annotations
@@ -52,14 +49,12 @@ class Filtered:
 
     @property
     def rates(self) -> Array:
-        """The derivatives of all states."""
         return np.vstack(self._rates)
 
     def input(self, columns: slice) -> Array:
         return np.eye(self.width)[self.n + columns.start : self.n + columns.stop]
 
     def added(self, count: int) -> Array:
-        """Return ``count`` more inputs."""
         self._inputs += count
         return np.eye(self.width)[self._inputs - count : self._inputs]
 
@@ -75,7 +70,6 @@ class Filtered:
         return found
 
     def derivative(self, rows: slice) -> Array:
-        """Return the derivative of outputs without a direct term."""
         return self._C[rows] @ self._rates[0]
 
 

@@ -89,23 +89,24 @@ def solved_response(model: StateSpaceModel, omega: Array) -> ComplexArray:
     response[:] = model.D
     where = np.flatnonzero(np.isfinite(omega))
     point = np.exp(1j * omega[where] * model.dt) if model.is_discrete else 1j * omega[where]
-    try:
-        response[where] = _solved(model, point)
-    except np.linalg.LinAlgError:
-        raise NoTrustworthyNumber(
-            "frequency_response", *at_pole(omega[where], point, lambda s: _solved(model, s))
-        ) from None
+    response[where] = solved_on_axis(lambda s: _solved(model, s), omega[where], point)
     return response
 
 
-def at_pole(omega: Array, point: ComplexArray, solved: Callable[[ComplexArray], object]) -> tuple[str, str]:
-    """Return found and expected of an error, for the first frequency at which ``solved`` has a pole."""
-    for k, w in enumerate(omega):
-        try:
-            solved(point[k : k + 1])
-        except np.linalg.LinAlgError:
-            return f"{w:g} rad/s hits a pole exactly", "frequencies that are no poles"
-    return "a frequency hits a pole exactly", "frequencies that are no poles"
+def solved_on_axis(solved: Callable[[ComplexArray], ComplexArray], omega: Array, point: ComplexArray) -> ComplexArray:
+    """Compute ``solved(point)``; NoTrustworthyNumber with the frequency of the first pole among the points."""
+    try:
+        return solved(point)
+    except np.linalg.LinAlgError:
+        at = "a frequency"
+        for k, w in enumerate(omega):
+            try:
+                solved(point[k : k + 1])
+            except np.linalg.LinAlgError:
+                at = f"{w:g} rad/s"
+                break
+        found, expected = f"{at} hits a pole exactly", "frequencies that are no poles"
+        raise NoTrustworthyNumber("frequency_response", found, expected) from None
 
 
 def _solved(model: StateSpaceModel, point: ComplexArray) -> ComplexArray:
@@ -131,14 +132,11 @@ def value_at(model: Any, s: ArrayLike) -> ComplexArray:
         raise InputError("G(s)", f"s = {s!r}", "a finite complex number, or a row of them", "G(1j * omega)")
     given = np.atleast_1d(point).astype(np.complex128)
     exact = getattr(model, "values_at", None)  # of a model with more than its state space
-    if exact is not None:
-        found = exact(given)
-    else:
-        try:
-            found = _solved(as_model(model, "G(s)"), given)
-        except np.linalg.LinAlgError:
-            raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
-        refuse_overflow("G(s)", found)
+    try:
+        found = _solved(as_model(model, "G(s)"), given) if exact is None else exact(given)
+    except np.linalg.LinAlgError:
+        raise NoTrustworthyNumber("G(s)", "s hits a pole exactly", "a number that is no pole") from None
+    refuse_overflow("G(s)", found)
     return found if point.ndim else found[0]
 
 
@@ -199,9 +197,8 @@ def narrow_frequencies(poles: AnyArray) -> Array:
 def modes_apart(model: StateSpaceModel) -> StateSpaceModel:
     """Decouple modes from all others whose damping is changed by rounding.
 
-    The input or output gain of a mode that a zero nearly cancels is a difference of large terms; in a state of its own,
-    scaled to equal input and output gains, it is a small number with all its digits. States are changed in ball
-    arithmetic: only entries of the result are rounded, so the response does not depend on the basis.
+    In a state of its own, scaled to equal input and output gains, the gain of a mode that a zero nearly cancels has all
+    its digits. States are changed in ball arithmetic: only entries of the result are rounded.
     """
     poles: AnyArray = model.poles()
     if model.is_discrete:

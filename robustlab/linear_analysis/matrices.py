@@ -35,25 +35,20 @@ Weighed = tuple[AnyArray, AnyArray, float]  # closed-loop matrix of an X, left-h
 
 
 class RiccatiSolution(NamedTuple):
-    """The stabilising X (n, n), the gain ``F = -R^-1 (B^T X + S^T)`` (m, n), and the relative residual."""
+    """The stabilising X (n, n) and the gain ``F = -R^-1 (B^T X + S^T)`` (m, n)."""
 
     X: Array
     gain: Array
-    residual: float
 
 
 @error_context("care")
 def care(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None = None, *, tolerance: float = 1e-6
 ) -> RiccatiSolution:
-    r"""Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite.
-
-    >>> float(round(care([[0.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
-    1.0
-    """
+    """Solve ``A^T X + X A + Q - (X B + S) R^{-1} (B^T X + S^T) = 0`` for the stabilising X; R may be indefinite."""
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
-        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)))
     try:
         back = np.linalg.inv(r)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -64,10 +59,7 @@ def care(
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):
             gain = -np.linalg.solve(r, b.T @ X + s.T)
-            quadratic = (X @ b + s) @ gain
-            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
-            left = a.T @ X + X @ a + q + quadratic
-            return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
+            return _weighed(a.T @ X, (X @ b + s) @ gain, q, a + b @ gain)
 
     X = _stable_graph(*whole)
     if X is None or not _is_stable(weighed(X)[0]):
@@ -75,7 +67,7 @@ def care(
     X, residual = _refined(X, weighed)
     if not residual <= tolerance:
         raise NoTrustworthyNumber("care", f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T), residual)
+    return RiccatiSolution(X, -np.linalg.solve(r, b.T @ X + s.T))
 
 
 @error_context("dare")
@@ -85,36 +77,30 @@ def dare(
     """Solve ``A^T X A - X + Q - (A^T X B + S) (R + B^T X B)^{-1} (B^T X A + S^T) = 0`` for the stabilising X.
 
     The gain is ``F = -(R + B^T X B)^-1 (B^T X A + S^T)``; R may be singular.
-
-    >>> float(round(dare([[1.0]], [[1.0]], [[1.0]], [[1.0]]).X[0, 0], 12))
-    1.61803398875
     """
     a, b, q, r, s = _matrices(A, B, Q, R, S)
     if not len(a):
-        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)), 0.0)
-    X, gain, coupling = _discrete_pencil(a, b, q, r, s), None, np.zeros(b.T.shape)
-    if X is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
+        return RiccatiSolution(np.zeros((0, 0)), np.zeros((len(r), 0)))
+    from scipy.linalg import solve_discrete_are
+
+    none = NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
+    with judged_afterwards():
+        try:
+            X = solve_discrete_are(a, b, q, r, s=s)
             X = 0.5 * (X + X.T)
             coupling = b.T @ X @ a + s.T
-            try:
-                gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
-            except np.linalg.LinAlgError:
-                gain = None
-    if X is None or gain is None or not np.isfinite(gain).all() or np.abs(np.linalg.eigvals(a + b @ gain)).max() >= 1:
-        raise NoTrustworthyNumber("dare", "no stabilising solution was found", SOLVABLE.format("the unit circle"))
-    quadratic = coupling.T @ gain
-    residual = small_residual("dare", 0.5 * (a.T @ X @ a - X + quadratic), q, tolerance)
-    return RiccatiSolution(X, gain, residual)
+            gain = -np.linalg.solve(r + b.T @ X @ b, coupling)
+            largest = np.abs(np.linalg.eigvals(a + b @ gain)).max()
+        except (np.linalg.LinAlgError, ValueError):  # of entries that are not finite, too
+            raise none from None
+    if not largest < 1:
+        raise none
+    small_residual("dare", 0.5 * (a.T @ X @ a - X + coupling.T @ gain), q, tolerance)
+    return RiccatiSolution(X, gain)
 
 
 def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: float = 1e-6) -> AnyArray | None:
-    r"""Solve ``A^T X + X A - X G X + Q = 0`` for the X with stable ``A - G X``, for searches; None if not found.
-
-    >>> one = np.eye(1)
-    >>> float(np.round(hamiltonian_riccati(0 * one, one, 4 * one)[0, 0], 12))
-    2.0
-    """
+    """Solve ``A^T X + X A - X G X + Q = 0`` for the X with stable ``A - G X``, for searches; None if not found."""
     if not len(A):
         return np.zeros((0, 0))
     X = _stable_graph(A, G, Q)
@@ -123,13 +109,16 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
 
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):  # NaN counts as a large residual
-            linear, quadratic = A.T @ X, X @ G @ X
-            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
-            left = linear + linear.T - quadratic + Q
-            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
+            return _weighed(A.T @ X, -X @ G @ X, Q, A - G @ X)
 
     X, residual = _refined(X, weighed)  # the first one is stable: the Schur form was ordered
     return X if residual <= tolerance else None
+
+
+def _weighed(linear: AnyArray, quadratic: AnyArray, known: AnyArray, loop: AnyArray) -> Weighed:
+    left = linear + linear.T + quadratic + known
+    size = 2 * np.linalg.norm(linear) + np.linalg.norm(known) + np.linalg.norm(quadratic)
+    return loop, left, float(np.linalg.norm(left) / size) if size else 0.0
 
 
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:
@@ -138,11 +127,8 @@ def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLi
 
 
 def _stable_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
-    """Return the X of `_schur_graph`, solved again in states that scale its diagonal to one if it spans decades.
-
-    The error of the Schur vectors is eps times the norm of the Hamiltonian: with entries of X from 1 to 1e16 the small
-    ones have no digits, which balancing the Hamiltonian does not change.
-    """
+    """Return the X of `_schur_graph`, solved again in states that scale its diagonal to one if it spans decades."""
+    # Otherwise the small entries of X have no digits, which balancing the Hamiltonian does not change.
     X = _schur_graph(A, G, Q)
     for _ in range(RESCALED):
         size = None if X is None else np.sqrt(np.abs(np.diag(X)))
@@ -179,23 +165,10 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
     return 0.5 * (X + X.T) if np.isfinite(X).all() else None
 
 
-def _discrete_pencil(a: Array, b: Array, q: Array, r: Array, s: Array) -> AnyArray | None:
-    """Return X from the QZ algorithm on the balanced extended pencil (Van Dooren 1981), or None."""
-    from scipy.linalg import LinAlgError, solve_discrete_are
-
-    with judged_afterwards():
-        try:
-            X = solve_discrete_are(a, b, q, r, s=s)
-        except (LinAlgError, ValueError):  # ValueError: R is singular to working precision
-            return None
-    return X if np.isfinite(X).all() else None
-
-
 def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
     """Refine the solution by Newton's steps as long as the residual falls (Kleinman 1968); return it with the residual.
 
-    If the eigenvalues of the Hamiltonian span ten decades, X may be wrong by tens of per cent at a relative residual
-    of 1e-3. Newton converges quadratically from there.
+    X may be wrong by tens of per cent if the eigenvalues of the Hamiltonian span ten decades.
     """
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
@@ -221,24 +194,19 @@ def _is_stable(loop: AnyArray) -> bool:
 
 
 def lyapunov(A: ArrayLike, Q: ArrayLike, discrete: bool = False, *, tolerance: float = 1e-6) -> Array:
-    r"""Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` if discrete, for a symmetric Q.
-
-    >>> float(lyapunov([[-0.5]], [[2.0]])[0, 0])
-    2.0
-    """
+    """Solve ``A X + X A^T + Q = 0``, or ``A X A^T - X + Q = 0`` if discrete, for a symmetric Q."""
     a, q = np.asarray(A, dtype=float), np.asarray(Q, dtype=float)
     X = slicot.lyapunov_solution(a, q, discrete)
     small_residual("lyapunov", 0.5 * (a @ X @ a.T - X) if discrete else a @ X, q, tolerance)
     return X
 
 
-def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> float:
+def small_residual(where: str, half: AnyArray, known: AnyArray, tolerance: float) -> None:
     """Refuse a solution of ``half + half^T + known = 0`` with a residual above this share of its terms."""
     size = 2 * np.linalg.norm(half) + np.linalg.norm(known)
     residual = float(np.linalg.norm(half + half.T + known) / size) if size else 0.0
     if not residual <= tolerance:
         raise NoTrustworthyNumber(where, f"relative residual {residual:.1e}", f"at most {tolerance:.1e}")
-    return residual
 
 
 @contextmanager
@@ -279,20 +247,13 @@ FAINTEST, STRONGEST = 1e-100, 1e100
 
 
 def system_matrix(m: StateSpaceModel) -> Array:
-    """Return ``[A B; C D]``."""
     return np.block([[m.A, m.B], [m.C, m.D]])
 
 
 def of_system_matrix(
-    whole: Array,
-    n: int,
-    dt: float,
-    inputs: Sequence[Signal],
-    outputs: Sequence[Signal],
-    states: Sequence[Signal],
+    whole: Array, n: int, dt: float, inputs: Sequence[Signal], outputs: Sequence[Signal], states: Sequence[Signal],
     where: str,
-) -> StateSpaceModel:
-    """Return the model of ``[A B; C D]`` with n states."""
+) -> StateSpaceModel:  # fmt: skip
     parts = whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n:, n:]
     return StateSpaceModel(*parts, dt, inputs, outputs, states, where=where)
 
@@ -348,14 +309,12 @@ def refuse_extremes(model: StateSpaceModel, where: str) -> None:
 
 
 def refuse_overflow(where: str, *arrays: AnyArray) -> None:
-    """Refuse products of finite input that are NaN or infinite."""
     if not all(np.isfinite(array).all() for array in arrays):
         hint = "choose units in which the model's entries are closer to one another"
         raise NoTrustworthyNumber(where, "a product of the model's entries overflows", "numbers below 1e308", hint)
 
 
 def _exponents(matrix: AnyArray) -> AnyArray:
-    """Return the exponent of every entry, -inf for zeros."""
     return np.where(matrix == 0, -np.inf, np.frexp(matrix)[1])
 
 

@@ -1,17 +1,8 @@
-r"""Structural properties of linear models: controllability, observability, and states that are not connected at all.
+r"""Controllability, observability, and states that are not connected at all.
 
-The rank of the controllability matrix (eq. 4.2 of the thesis) is the definition, but inaccurate: powers of A hide the
-weak directions of a badly scaled model. Here the controllable subspace is built up by orthogonal steps (the staircase
-form), and every mode is tested by itself,
-
-.. math:: \operatorname{rank} [A - \lambda I \;\; B] = n \quad \text{for every eigenvalue } \lambda \text{ of } A,
-
-after a diagonal scaling of states and inputs that does not depend on the units the model came in.
-
-References
-----------
-Březina 2010, eqs 4.2, 4.3. Paige, "Properties of numerical algorithms related to computing controllability", IEEE TAC
-26 (1981). Van Dooren, "The generalized eigenstructure problem in linear system theory", IEEE TAC 26 (1981).
+The controllable subspace is built up by orthogonal steps (the staircase form), and every mode is tested by itself,
+:math:`\operatorname{rank} [A - \lambda I \;\; B] = n`, after a diagonal scaling of states and inputs that does not
+depend on the model's units. Březina 2010, eqs 4.2, 4.3; Paige, IEEE TAC 26 (1981); Van Dooren, IEEE TAC 26 (1981).
 """
 
 from __future__ import annotations
@@ -142,7 +133,6 @@ class Structure(Displayable):
 
 
 def structure(model: Any) -> Structure:
-    """Compute poles, stability, controllability and observability of a model."""
     m = as_model(model, "structure")
     poles = np.array(sorted(m.poles().tolist(), key=lambda p: (-p.real, p.imag)), dtype=complex)
     tests = controllability(m), observability(m)
@@ -258,8 +248,8 @@ class _Reached:
     def of(cls, a: Array, b: Array, tolerance: float | None = None) -> _Reached:
         """Decide the rank: singular values up to the tolerance count as zero; None: those below rounding.
 
-        It is clear if no value lies between CLEAR and ROUNDING. Rounding amplified by a weakly controllable part may
-        lie there; then as many eigenvalues of A as directions were dropped must be uncontrollable to rounding.
+        Rounding amplified by a weakly controllable part may lie between CLEAR and ROUNDING; the rank is clear if as
+        many eigenvalues of A as directions were dropped are uncontrollable to rounding.
         """
         connected = reached(a != 0, (b != 0).any(axis=1))
         inner, outer = np.flatnonzero(connected), np.flatnonzero(~connected)
@@ -379,12 +369,11 @@ def _staircase(a: Array, b: Array, zero: float) -> tuple[Array, Array, int, floa
 
 
 def _scaled(a: Array, b: Array) -> tuple[Array, Array, float, NDArray[np.int64]]:
-    r"""Return ``T^-1 A T / rate`` and ``T^-1 B S`` with entries of at most 1 and one of about 1 in every row.
+    r"""Return ``T^-1 A T / rate`` and ``T^-1 B S`` with entries up to 1 and one of about 1 in every row, rate, log2 T.
 
     T is the strongest path from the inputs to each state, :math:`t_i = \max(|b_i|, \max_j |a_{ij}| t_j / rate)`,
-    rounded to powers of two. Units of states cancel in it: a model and its diagonal rescaling come out equal up to a
-    factor of two. ``rate`` is the Perron root of \|A\|, which bounds the mean of every cycle, so that no path gains
-    by going round. Every state must be connected to an input. The exponents of T come last.
+    rounded to powers of two; units of states cancel in it. ``rate`` is the Perron root of \|A\|, which bounds the mean
+    of every cycle. Every state must be connected to an input.
     """
     n = len(a)
     magnitude = np.abs(a)
@@ -410,13 +399,10 @@ def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
     """Return the smallest singular value of ``[A - lambda I, B]`` at each eigenvalue, relative to ``|[A, B]|``."""
     if not len(a):
         return np.zeros(0)
-    norm, found = np.linalg.norm(np.hstack([a, b]), 2), {}
-    for value in eigenvalues.tolist():  # a conjugate pair has the same singular values
-        key = complex(value.real, abs(value.imag))
-        if key not in found:
-            pencil = np.hstack([a - value * np.eye(len(a)), b])
-            found[key] = np.linalg.svd(pencil, compute_uv=False)[-1] / norm
-    return np.array([found[complex(value.real, abs(value.imag))] for value in eigenvalues.tolist()])
+    # A conjugate pair has the same singular values.
+    values, place = np.unique(eigenvalues.real + 1j * np.abs(eigenvalues.imag), return_inverse=True)
+    least = [np.linalg.svd(np.hstack([a - s * np.eye(len(a)), b]), compute_uv=False)[-1] for s in values]
+    return np.array(least)[place] / np.linalg.norm(np.hstack([a, b]), 2)
 
 
 def _hidden_modes(
@@ -443,8 +429,8 @@ def _hidden_modes(
         value = complex(value)
         stable = bool((1 - abs(value) if discrete else -value.real) > blur)
         involved = tuple(states[weight >= SHARE * weight.max()])
-        rounded = complex(*(0.0 if abs(part) <= blur else part for part in (value.real, value.imag)))
-        number = f"{rounded.real:.6g}" if rounded.imag == 0 else f"{rounded.real:.6g}{rounded.imag:+.6g}j"
+        re, im = (0.0 if abs(part) <= blur else part for part in (value.real, value.imag))
+        number = f"{re:.6g}{im:+.6g}j" if im else f"{re:.6g}"
         where = f"z = {number}" if discrete else f"{number} rad/s"
         text = f"{'stable' if stable else 'unstable'} mode {where} in {', '.join(involved)}: {word}"
         found.append(HiddenMode(value, stable, involved, text))

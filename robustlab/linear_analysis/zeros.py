@@ -3,22 +3,13 @@ r"""Zeros of models, their kinds; determinants of pencils in whole numbers and t
 .. math:: P(s) = \begin{bmatrix} A - s I & B \\ C & D \end{bmatrix}, \qquad
    \text{zeros: } s \text{ where rank } P(s) \text{ falls below its rank at almost every } s
 
-Those of a square model of full normal rank are the roots of :math:`\det P(s)`, which is computed in whole numbers: all
-are found, and exact, for any scaling of the model. Those of other models, and of large ones, come from SLICOT's
-AB08ND. Each zero is then checked in P(s) itself, independently of the method that found it.
-
-Without rounding: rows and columns are multiplied by powers of two until all entries are whole numbers; the determinant
-:math:`\det(M - s E)`, :math:`E = diag(I_n, 0)`, is computed modulo as many primes as Hadamard's bound requires, and
-FLINT gives its roots as balls that are proved to contain one root each. There are no tolerances.
+Those of a square model of full normal rank are the roots of :math:`\det P(s)`, which is computed in whole numbers,
+without rounding: modulo as many primes as Hadamard's bound requires. FLINT gives its roots as balls that contain one
+root each. The zeros of other models, and of large ones, come from SLICOT's AB08ND. Each zero is then checked in P(s).
 
 The entries themselves carry rounding: where ``C B`` is zero but 1e-17 after a change of states, there is a zero near
-1e17. Zeros beyond the fastest pole that entrywise changes of ROUNDING move away are left out.
-
-References
-----------
-Rosenbrock, *State-space and Multivariable Theory* (1970); Emami-Naeini, Van Dooren, "Computation of zeros of linear
-multivariable systems", Automatica 18 (1982). The distance to a singular matrix, entry by entry: Demmel, "The
-componentwise distance to the nearest singular matrix", SIAM J. Matrix Anal. Appl. 13 (1992).
+1e17. Zeros beyond the fastest pole that entrywise changes of ROUNDING move away are left out (Demmel, "The
+componentwise distance to the nearest singular matrix", SIAM J. Matrix Anal. Appl. 13, 1992).
 """
 
 from __future__ import annotations
@@ -178,11 +169,10 @@ def from_the_circle(f: fmpz_poly, degree: int) -> fmpz_poly:
 
 def roots(f: fmpz_poly) -> list[Root]:
     """Find all complex roots, in conjugate pairs; real ones have ``im == 0``."""
-    found = []
-    for z, multiplicity in _balls(f, BITS):
-        re = Fraction(0) if z.real.contains(0) else _middle(z.real)
-        found.append(Root(re, _middle(z.imag), multiplicity))
-    return found
+    return [
+        Root(Fraction(0) if z.real.contains(0) else _middle(z.real), _middle(z.imag), multiplicity)
+        for z, multiplicity in _balls(f, BITS)
+    ]
 
 
 def even_and_odd(f: fmpz_poly) -> tuple[fmpz_poly, fmpz_poly]:
@@ -232,14 +222,11 @@ def _characteristic(A: AnyArray, discrete: bool) -> fmpz_poly | None:
 
 def _balls(f: fmpz_poly, bits: int) -> list[tuple[acb, int]]:
     """Return disjoint balls of all roots and their multiplicities; FLINT gives real roots no imaginary part."""
-    from flint import ctx
+    from robustlab.verification.balls import precision
 
-    before, ctx.prec = ctx.prec, bits
-    try:
+    with precision(bits):
         found: Any = f.complex_roots() if f.degree() > 0 else []
         return found
-    finally:
-        ctx.prec = before
 
 
 def _middle(ball: arb) -> Fraction:
@@ -298,7 +285,6 @@ class Zeros(Displayable):
 
     @property
     def count(self) -> int:
-        """Number of zeros."""
         return len(self)
 
     def headline(self) -> str:
@@ -384,12 +370,13 @@ def _found(m: StateSpaceModel) -> tuple[ComplexArray, int, str]:
         try:
             found = [root.value for root in roots(determinant(S, n)[0]) for _ in range(root.multiplicity)]
         except NoTrustworthyNumber as error:
-            return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, error.found
-        values = np.array(sorted(found, key=lambda z: (abs(z), z.imag)), dtype=complex)
-        fastest = float(np.abs(m.poles()).max(initial=0.0))
-        while len(values) and abs(values[-1]) > fastest and _decided_by_rounding(S, n, complex(values[-1]), 0.0):
-            values = values[:-1]
-        return values, rank, reason
+            reason = error.found
+        else:
+            found.sort(key=lambda z: (abs(z), z.imag))
+            fastest = float(np.abs(m.poles()).max(initial=0.0))
+            while found and abs(found[-1]) > fastest and _decided_by_rounding(S, n, found[-1], 0.0):
+                del found[-1]
+            return np.array(found, dtype=complex), rank, reason
     return slicot.invariant_zeros(m.A, m.B, m.C, m.D)[0], rank, reason
 
 
@@ -426,16 +413,10 @@ def _rank_within_rounding(m: StateSpaceModel) -> int:
 def _tested(S: Array, z: complex, n: int, rank: int) -> tuple[str, float]:
     """Test a zero in P(z): return its kind and its residual."""
     P, size = _pencil(S, z, n), _pencil(np.abs(S), -abs(z), n).real
-    sigma = _singular_values(P, size)
-    unreached, unseen = _loses_rank(P[:n], size[:n]), _loses_rank(P[:, :n], size[:, :n])
-    kind = {(True, True): "input-output-decoupling", (True, False): "input-decoupling",
-            (False, True): "output-decoupling", (False, False): "transmission"}[unreached, unseen]  # fmt: skip
+    sigma, rows, columns = (_singular_values(P[part], size[part]) for part in (..., np.s_[:n], np.s_[:, :n]))
+    hidden = "input-" * bool(rows[-1] <= HIDDEN * rows[0]) + "output-" * bool(columns[-1] <= HIDDEN * columns[0])
+    kind = f"{hidden}decoupling" if hidden else "transmission"
     return kind, float(sigma[n + rank - 1] / sigma[0]) if sigma[0] else 0.0
-
-
-def _loses_rank(block: ComplexArray, size: Array) -> bool:
-    sigma = _singular_values(block, size)
-    return bool(sigma[-1] <= HIDDEN * sigma[0])
 
 
 def _decided_by_rounding(S: Array, n: int, z: complex, least: float) -> bool:

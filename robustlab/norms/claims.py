@@ -1,14 +1,10 @@
 r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point and checked in ball arithmetic.
 
-.. math:: -\begin{pmatrix} A^T P + P A + C^T C & P B + C^T D \\ B^T P + D^T C & D^T D - \gamma^2 I \end{pmatrix} > 0,
-   \quad P > 0
-
-holds strictly for the stabilising solution of the Riccati equation with :math:`C^T C + \varepsilon I` in the place of
-:math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as further outputs is at most
-:math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Discrete likewise.
-
-Where the gain is flat the margin is a millionth everywhere, too little for a P of doubles. So the residual is computed
-in extended precision, Newton's method corrects P by it, and P is the sum of two matrices of doubles.
+The inequality of docs/proofs.md holds strictly for the stabilising solution of the Riccati equation with
+:math:`C^T C + \varepsilon I` in the place of :math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as further outputs
+is at most :math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Where the gain is flat the
+margin is a millionth everywhere: Newton's method corrects P by residuals in extended precision, and P is the sum of two
+matrices of doubles.
 """
 
 from __future__ import annotations
@@ -42,7 +38,6 @@ def above(number: float) -> float:
 
 
 def matrices(model: StateSpaceModel, name: str = "{}") -> Numbers:
-    """Return ``A, B, C, D`` under the names ``name``."""
     return {name.format(letter): getattr(model, letter) for letter in "ABCD"}
 
 
@@ -227,7 +222,6 @@ def band_scalings(q: int, p: int, band: tuple[float, float]) -> Numbers:
 
 
 def gramian_claims(model: StateSpaceModel, value: float, numbers: Numbers | None = None) -> list[Claim]:
-    """Claim the level ``value`` (1 + 1e-6) of a model, or the loop of ``numbers``, by a slightly enlarged Gramian."""
     numbers, level = model_numbers(model) if numbers is None else numbers, above(value)
     proof = gramian_matrix(model, value, level, numbers) if model.n_states else {}
     return [Claim("gramian", {**numbers, "value": np.array(level), **proof})] if proof else []
@@ -243,5 +237,4 @@ def loop_claims(plant: StateSpaceModel, K: StateSpaceModel, gamma: float) -> lis
 
 
 def h2_loop_claims(plant: StateSpaceModel, K: StateSpaceModel, value: float) -> list[Claim]:
-    """Claim the same of the H2 norm."""
     return gramian_claims(lower_lft(plant, K), value, loop_numbers(plant, K)) if np.isfinite(value) else []

@@ -172,7 +172,6 @@ def _solved(s: StateSpaceModel, rate: float, doubt: str) -> tuple[H2Norm, float,
 
 
 def h2_claims(found: H2Norm) -> list[Claim]:
-    """Claim that the H2 norm is at most ``value``, by a slightly enlarged Gramian."""
     model = found.system
     if model is None or not np.isfinite(found.value) or not found.status.trustworthy:
         return []

@@ -166,10 +166,8 @@ def _norm_of(m: StateSpaceModel, rtol: float, infinite: Infinite, band: Band | N
     checked_number(f"{where}: rtol", rtol, at_least=1e-12, below=1)
     refuse_extremes(m, where)
     found = infinite(m) if m.n_states else None
-    if found is None and not m.D.size:
-        found = HinfNorm(0.0, 0.0, 0.0, Status.CERTIFIED)
-    if found is None and not m.n_states:
-        gain = float(np.linalg.norm(m.D, 2))
+    if found is None and not (m.D.size and m.n_states):
+        gain = float(np.linalg.norm(m.D, 2)) if m.D.size else 0.0
         found = HinfNorm(gain, gain, 0.0 if band is None else band[0], Status.CERTIFIED)
     if found is None:
         found = _bracket(m, rtol, band)
@@ -188,8 +186,10 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     """Bound the norm by the level test."""
     try:
         s, rate = well_scaled(bilinear_to_continuous(m) if m.is_discrete else m)
-        part = None if band is None else _mapped_band(band, m.dt, rate)
-        lower, at, level, error, size, settled = _level_test(s, rtol, part)
+        if band is not None:
+            low, high = (_mapped(omega, m.dt) for omega in band)
+            band = low / rate, high / rate
+        lower, at, level, error, size, settled = _level_test(s, rtol, band)
     except (np.linalg.LinAlgError, NoTrustworthyNumber) as failed:
         return HinfNorm(0.0, np.inf, np.nan, Status.INACCURATE, f"frequency response failed: {failed}")
     # A peak is flat to rtol over sqrt(2 rtol) times its pole's distance: a floating-point number must lie in there.
@@ -199,7 +199,7 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     if m.is_discrete:  # the bilinear map s = (2/dt) (z - 1)/(z + 1) bends the frequency axis; other scalings are exact
         omega = 2 / m.dt * float(np.arctan(omega * m.dt / 2)) if np.isfinite(omega) else np.pi / m.dt
         attained = float(largest_gains(m, np.array([omega]))[0])
-        (size,), (at_peak,) = _terms(m.A, m.B, m.C, m.D, np.exp(1j * np.array([omega]) * m.dt))
+        (size,), (at_peak,) = gain_rounding(m.A, m.B, m.C, m.D, np.exp(1j * np.array([omega]) * m.dt))
         size, error = float(size), max(error, float(at_peak))
         if abs(attained - lower) > 10 * rtol * lower + min(error, LOSSY * lower) and lower > level - lower:
             reason = f"the model and its continuous image differ at the peak: {attained:.9g} against {lower:.9g}"
@@ -215,6 +215,11 @@ def _bracket(m: StateSpaceModel, rtol: float, band: Band | None) -> HinfNorm:
     elif error > QUIET * attained:
         attained, upper = attained - error, upper + error
     return HinfNorm(attained, upper, omega, Status.INACCURATE if reason else Status.CERTIFIED, reason)
+
+
+def _mapped(omega: float, dt: float) -> float:
+    """Return the frequency of the bilinear map's continuous model."""
+    return omega if not dt else 2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf
 
 
 def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[float, float, float, float, float, bool]:
@@ -242,7 +247,7 @@ def _level_test(s: StateSpaceModel, rtol: float, band: Band | None) -> tuple[flo
         if turn and gains[top] <= level:
             return lower, at, level, error, size, True
         lower, at = float(gains[top]), float(omega[top])
-        sizes, errors = _terms(s.A, s.B, s.C, s.D, np.array([complex(0.0, w) for w in (at, *near)]))
+        sizes, errors = gain_rounding(s.A, s.B, s.C, s.D, np.array([complex(0.0, w) for w in (at, *near)]))
         size, error, near = float(sizes[0]), max(error, float(errors.max())), near[:0]
         margin = MARGIN if lower > error else 2.0  # a gain of rounding size has no peak
         level = lower + max(rtol * lower, margin * error)
@@ -265,31 +270,15 @@ def _in_balls(m: StateSpaceModel, found: HinfNorm, rtol: float) -> HinfNorm:
     return found
 
 
-def _mapped_band(band: Band, dt: float, rate: float) -> Band:
-    """Map a band of the model as given to the scaled continuous model."""
-    low, high = band
-    if dt:
-        low, high = (2 / dt * float(np.tan(omega * dt / 2)) if omega * dt < np.pi else np.inf for omega in band)
-    return low / rate, high / rate
-
-
 def gain_rounding(
-    A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: complex, sums: Sequence[Array] | None = None
-) -> float:
-    r"""Bound the rounding error of ``sigma_max(C (sI - A)^{-1} B + D)``, to first order; s may be infinite.
-
-    ``sums``: sizes of the terms added up to A, B, C and D, if these cancelled; by default those of A, B, C and D.
-
-    With ``F = sI - A`` and ``X = F^{-1} B`` a backward stable solution is off by no more than
-    ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that.
-    """
-    return float(_terms(A, B, C, D, np.array([s]), sums)[1][0])
-
-
-def _terms(
     A: AnyArray, B: AnyArray, C: AnyArray, D: AnyArray, s: AnyArray, sums: Sequence[Array] | None = None
 ) -> tuple[AnyArray, AnyArray]:
-    """Return the size of the terms of the gain at each point s, ``|C| |X| + |D|``, and its `gain_rounding`."""
+    r"""Return ``|C| |X| + |D|``, ``X = F^{-1} B``, ``F = sI - A``, and the rounding error of ``sigma_max``, at each s.
+
+    The error is of first order; s may be infinite. A backward stable solution is off by no more than
+    ``n eps |F^{-1}| (|F| |X| + |B|)``, entry by entry; no scaling of the states changes that. ``sums``: sizes of the
+    terms added up to A, B, C and D, if these cancelled; by default those of A, B, C and D.
+    """
     in_a, in_b, in_c, in_d = [np.abs(m) for m in (A, B, C, D)] if sums is None else sums
     n, finite = len(A), np.isfinite(s)
     size, error = (np.repeat(x[None], len(s), axis=0) for x in (np.abs(D), in_d))
@@ -358,7 +347,6 @@ def eigenvalue_blur(m: StateSpaceModel) -> float:
 
 
 def pole_text(pole: complex) -> str:
-    """Return a pole as a text of messages."""
     return f"{pole.real:.6g}{pole.imag:+.6g}j"
 
 
@@ -429,7 +417,6 @@ def _within(omega: AnyArray, band: Band) -> AnyArray:
 
 
 def norm_claims(found: HinfNorm) -> list[Claim]:
-    """Claim that the gain stays below ``upper``: of a stable model, or over a band of one that may be unstable."""
     model = found.system
     if model is None or not np.isfinite(found.upper) or found.status is not Status.CERTIFIED:
         return []

@@ -124,10 +124,8 @@ class Definite:
 def definite(F: Matrix) -> Definite:
     r"""Test F > 0 for a ball matrix (n, n) around a Hermitian one.
 
-    Proof: for any square S, with :math:`Y = S^* F S`, if :math:`\inf Y_{ii} > \sum_{j \ne i} \sup |Y_{ij}|` for each
-    i, then Y is Hermitian, strictly diagonally dominant with a positive diagonal, so Y > 0 (Gershgorin). Then S is
-    regular (S v = 0 would give v^* Y v = 0), and F > 0. S is arbitrary, so floating point chooses it: a root of the
-    inverse of F's midpoint, repeated where one is not accurate enough.
+    For any square S, if :math:`Y = S^* F S` is strictly diagonally dominant with a positive diagonal, F > 0
+    (docs/proofs.md). Floating point chooses S: a root of the inverse of F's midpoint, repeated where needed.
     """
     n = F.nrows()
     if n == 0:

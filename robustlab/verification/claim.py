@@ -61,12 +61,10 @@ PROVED = Verdict(Outcome.PROVED)
 
 
 def not_proved(where: str, at: float | None = None) -> Verdict:
-    """Return the verdict of an undecided attempt."""
     return Verdict(Outcome.NOT_PROVED, where, at)
 
 
 def refuted(where: str) -> Verdict:
-    """Return the verdict of a proved counterexample."""
     return Verdict(Outcome.REFUTED, where)
 
 

@@ -1,12 +1,6 @@
-r"""Weights that bound the error of a rational delay, for every delay of a range and at every frequency.
+"""Weights that bound the error of a rational delay, for every delay of a range and at every frequency.
 
-At each frequency :math:`|e^{-j\omega\tau} - R|` is largest at an end of the range of tau, unless the arc of all
-:math:`e^{-j\omega\tau}` contains the point opposite to R; and it is never above 1 + |R|. So below a frequency both ends
-are tested, and so is the arc; above it :math:`|W|^2 + \varepsilon^2 > 2 + 2 |R|^2 \ge (1 + |R|)^2`, in 1/omega.
-
-**Boxes.** A function of one real number is expanded about the middle of a box: :math:`f(x_0 + h) = \sum_{k<K} f_k h^k +
-f_K h^K` for :math:`|h| \le r`, each :math:`f_k` at :math:`x_0` and the last over the whole box (Taylor with Lagrange's
-rest; of a complex function real and imaginary part by themselves). A box that is not decided is halved.
+The theorem and the expansion of functions in boxes are in docs/proofs.md.
 """
 
 from __future__ import annotations

@@ -32,8 +32,6 @@ from robustlab.verification.claim import Claim, Outcome, Verification
 from robustlab.verification.models import gain_exceeds, model_of
 from robustlab.verification.mu import ALLOWANCE
 
-GROUP = "claims"
-
 
 def claims_in_file(path: str | Path) -> list[Claim]:
     """Read the claims in the groups ``claims/0``, ``claims/1``, ... of an HDF5 file, by a kind and datasets each."""
@@ -50,7 +48,7 @@ def read_checked(path: str | Path) -> Tree:
 
 def claims_in(root: Tree) -> list[Claim]:
     """Return the claims of a file, in their order. Raises InputError: an invalid claim."""
-    node = root.find(GROUP)
+    node = root.find("claims")
     if node is None:
         return []
     names = sorted(node.groups, key=lambda name: (int(name) if name.isdigit() else len(name), name))
@@ -58,16 +56,14 @@ def claims_in(root: Tree) -> list[Claim]:
 
 
 def _claim(node: Tree) -> Claim:
-    kind = np.asarray(node.attrs.get("claim", ""))
+    kind, numbers = np.asarray(node.attrs.get("claim", "")), dict[str, Any]()
     if kind.ndim != 0 or not str(kind):
         raise InputError(node.file, f"{node.path}: no attribute claim", "the kind of the claim")
-    return Claim(str(kind), {name: _values(node, name, d) for name, d in node.datasets.items()})
-
-
-def _values(node: Tree, name: str, dataset: Dataset) -> np.ndarray:
-    if isinstance(dataset.values, Unread):
-        raise InputError(node.file, f"{node.child_path(name)} has dtype {dataset.values.dtype}", "numbers")
-    return dataset.values
+    for name, dataset in node.datasets.items():
+        if isinstance(dataset.values, Unread):
+            raise InputError(node.file, f"{node.child_path(name)} has dtype {dataset.values.dtype}", "numbers")
+        numbers[name] = dataset.values
+    return Claim(str(kind), numbers)
 
 
 ROUNDING = 2e-6  # relative: claims are made 1e-6 above the computed number
@@ -182,7 +178,6 @@ def _numbers_of(place: str, thing: Dataset | Tree) -> set[str]:
 
 
 def _type(node: Tree) -> str:
-    """Return the class of the result in a group; empty where there is none."""
     name = node.datasets.get("type")
     return str(name.values) if name is not None and not isinstance(name.values, Unread) else ""
 

@@ -1,53 +1,9 @@
 r"""Gain and stability of loops with blocks that vary or are nonlinear: one matrix inequality for all frequencies.
 
-The loop is w = Delta(z), from the model's first inputs and outputs; the others, u and y, are the performance. A real
-block is :math:`c z + s h\, \delta(z)`, c and h middle and half width of its range, s the ``size``; other blocks are
-s times a unit one. So the unit blocks close the model of `mu.within_box` with its columns times s.
-
-Theorem (Megretski, Rantzer 1997). Let A be stable with all blocks at their middles. Let the signals
-:math:`v_i = C_i x + D_i q` of the model with stable filters, :math:`\dot x = A x + B q`, x(0) = 0, q = (w, u, r), be
-those of the constraints below. If for some symmetric P, of either sign,
-
-.. math:: \gamma^2 \begin{bmatrix} 0 & E \end{bmatrix}^T \begin{bmatrix} 0 & E \end{bmatrix}
-    - \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix} - \sum_i [C_i\ D_i]^T M_i [C_i\ D_i]
-    - [C_y\ D_y]^T [C_y\ D_y] > 0,
-
-E taking u out of q, then :math:`\|y\|_2 \le \gamma \|u\|_2` for every well-posed loop, and the loop is stable. At
-:math:`x = (j\omega - A)^{-1} B q` the part with P is zero: this is the strict inequality in the frequency domain. With
-each block tau times it is of its class, for tau from 0 to 1, and at tau = 0 the loop is the stable model.
-
-Well posed: let z = C x + D w, w = Delta(t, z) at an instant. A law whose z has no row in D is a function of the state.
-For the others only constraints are used that hold for differences of two signals (of a law Zames and Falb's, never the
-sector's or Popov's), and the inequality at x = 0 makes the map w - Delta(D w + e) one-to-one with a Lipschitz inverse,
-hence onto (invariance of domain). Of laws without a bound of their slope it is assumed that solutions exist.
-
-Integral quadratic constraints of the block types of Delta, with checks that multipliers belong to their classes.
-
-.. math:: \int_0^\infty v^T M v \, dt \ge 0 \quad\text{for all } z \in L_2,\ w = \Delta(z)
-
-zeta is a signal filtered by 1, :math:`\frac{a}{s+a}, .., (\frac{a}{s+a})^\nu`, a > 0, from zero states. All matrices X
-and Q below are positive definite, Y is skew; X counts once for each channel of a full block. Each constraint holds for
-tau times the block, too, tau from 0 to 1.
-
-- Time-invariant block (nu), or one that varies (nu = 0): :math:`\zeta_z^T X \zeta_z - \zeta_w^T X \zeta_w`. Of a
-  linear block of gain at most one: in the frequency domain :math:`\psi^* X \psi \ge 0` is a scaling that commutes.
-- Real number in [-1, 1], constant or (nu = 0) varying: also :math:`2 \zeta_z^T Y \zeta_w`, of which the integral is 0.
-- Real number with :math:`|\dot\delta| \le \rho`: both with :math:`\zeta_w` driven by
-  :math:`\rho r_j = \dot\delta \zeta_{z,j}`, so that :math:`\zeta_w = \delta \zeta_z` at each instant; the same two
-  constraints state :math:`r = (\dot\delta/\rho) \zeta_z`, from the first power of the filter on.
-- Law in the sector [-1, 1]: :math:`x (z^2 - w^2)`, x > 0. Steady, and z without a direct term: :math:`2 x w \dot z`, x
-  of either sign, whose integral is that of the law from z(0) = 0 to :math:`z(\infty) = 0` (Popov).
-- Law with slopes in [m, k]: p = k z - w and q = w - m z do not fall with z, so (Zames, Falb 1968)
-  :math:`2 \int p (x_0 q - h * q)\, dt \ge 0` where :math:`\|h\|_1 \le x_0` and h >= 0 (or the law is odd). Here
-  h = h_+ - h_- (h_- of odd laws only), each :math:`a e^{-at}(s^T Q_1 s + at\, s^T Q_2 s)`, :math:`s_i = (at)^i/i!`, of
-  both directions of time. As the integral of :math:`a e^{-at} (at)^l/l!` is one, the norm is at most the sum of all
-  coefficients. A law that is not steady has h = 0.
-
-References
-----------
-Megretski, Rantzer, IEEE TAC 42 (1997); Jonsson, "Stability analysis with Popov multipliers and IQCs", Systems & Control
-Letters 31 (1997); Zames, Falb, SIAM J. Control 6 (1968); Koroglu, Scherer, "Robust performance analysis for structured
-linear time-varying perturbations with bounded rates-of-variation", IEEE TAC 52 (2007): the swapping lemma.
+The theorem, its proof and the constraints of each block type are in docs/proofs.md, in the same symbols. The
+loop is w = Delta(z), from the model's first inputs and outputs; the others, u and y, are the performance. A real block
+is :math:`c z + s h\, \delta(z)`, c and h middle and half width of its range, s the ``size``; other blocks are s times a
+unit one. So the unit blocks close the model of `mu.within_box` with its columns times s.
 """
 
 from __future__ import annotations
@@ -154,7 +110,6 @@ class Filtered:
         return stack([[C, zeros(C.nrows(), gap), D, zeros(C.nrows(), rest)]])
 
     def units(self, first: int, count: int) -> Matrix:
-        """Entries of (x, q) themselves."""
         return exact(np.eye(self.width)[first : first + count])
 
     def output(self, rows: slice) -> Matrix:
@@ -179,7 +134,6 @@ class Filtered:
         return found
 
     def derivative(self, rows: slice) -> Matrix:
-        """Return the derivative of outputs without a direct term."""
         return part(self.G.C, rows, slice(None)) * self.rates[0]
 
 
@@ -263,8 +217,8 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
     """Prove by the theorem that the ``gain`` of the set is at most ``gamma``, or that it is stable at ``size``.
 
     The model of datasets ``A .. D`` (or a loop) has the channels of ``blocks`` first. ``pole`` is a, ``order`` nu;
-    ``multipliers`` holds the numbers of each block's constraints in the order of the text, triangles row by row; ``P``
-    belongs to the states of the model, then those of the filters of each block, of z (q) before those of w (p).
+    ``multipliers`` holds the numbers of each block's constraints in the order of the theory's table, triangles row by
+    row; ``P`` belongs to the states of the model, then those of the filters of each block, of z (q) before w (p).
     """
     given, table = model_of(claim), read_shapes(claim)
     rows, cols = (sum(row[k] for row in table) for k in (1, 2))

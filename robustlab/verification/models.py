@@ -1,29 +1,8 @@
-r"""State-space models whose entries are balls: stored, in feedback with a controller, subtracted, or mapped.
+r"""State-space models whose entries are balls, blocks of Delta, and the form whose definiteness bounds mu.
 
-.. math:: \dot x = A x + B u, \quad y = C x + D u \qquad (\text{discrete: } x^+ = A x + B u)
-
-Stored models are exact; computed ones (a loop's inverse) are ball matrices around the exact model.
-
-Blocks of Delta, their scalings, and the form whose definiteness bounds mu.
-
-The loop is :math:`w = \Delta z,\ z = M w`, singular where :math:`\det(I - M \Delta) = 0`. Block i may have the norm
-:math:`1/\ell_i`, with :math:`\ell_i` its level; L is diag(level) on the channels of w.
-
-Theorem. Let D_w, D_z, G have the structure (below), D_w > 0, and
-
-.. math:: F = L D_w L - M^* D_z M - j (G M - M^* G^*) > 0 .
-
-Then :math:`\det(I - M \Delta) \ne 0` for all Delta of the structure with :math:`\|\Delta_i\| \le 1/\ell_i`.
-
-Proof. Else there is a z with :math:`z = M \Delta z \ne 0`; put :math:`w = \Delta z`, so z = M w and w is not zero. Then
-
-.. math:: w^* F w = w^* L D_w L w - z^* D_z z - j (w^* G z - z^* G^* w) ,
-
-a sum over the blocks. The part of a full block (both D a multiple d > 0 of the identity, G = 0) is
-:math:`d (\ell^2 |w_i|^2 - |z_i|^2) \le 0`. In a repeated scalar block :math:`w_i = \delta z_i` and D_w = D_z = D > 0:
-:math:`(\ell^2 |\delta|^2 - 1)\, z_i^* D z_i \le 0`; of a real one delta is real and G = G^*, and the last term is
-:math:`-j \delta z_i^* (G - G^*) z_i = 0`; of a complex one G = 0. So the sum is not above zero: a contradiction. The
-sign before j is of no importance, as -G has the structure too.
+Stored models are exact; computed ones (a loop's inverse) are ball matrices around the exact model. The loop is
+:math:`w = \Delta z,\ z = M w`, singular where :math:`\det(I - M \Delta) = 0`. Block i may have the norm
+:math:`1/\ell_i`, with :math:`\ell_i` its level. The theorem about the form, with its proof: docs/proofs.md.
 """
 
 from __future__ import annotations
@@ -130,7 +109,6 @@ def model_of(claim: Claim) -> Model:
 
 
 def static(claim: Claim) -> Model:
-    """Return the matrix ``M`` (p, q), real or complex, as a model without states."""
     M = complex_or_real(claim, "M", (None, None))
     p, q = M.shape
     return Model(zeros(0, 0), zeros(0, q), zeros(p, 0), exact(M), 0.0)
@@ -148,10 +126,9 @@ def difference(claim: Claim) -> Model:
 def on_the_axis(G: Model) -> Model | None:
     r"""Return the continuous model with the response of the discrete one, :math:`z = (1 + s)/(1 - s)`, or None.
 
-    With :math:`N = (I + A)^{-1}`: :math:`A_c = N (A - I)`, :math:`B_c = 2 N^2 B`, :math:`C_c = C`,
-    :math:`D_c = D - C N B`. The angle theta of :math:`z = e^{j\theta}` is at :math:`s = j \tan(\theta/2)`.
-    Proof: :math:`(1 - s)(zI - A) = (I + A)(s - A_c)`, and :math:`(1 - s) = (I - A_c) - (s - A_c)`, where
-    :math:`I - A_c = 2 N`; all of these commute. None where A was not proved to be free of the eigenvalue -1.
+    The angle theta of :math:`z = e^{j\theta}` is at :math:`s = j \tan(\theta/2)`. Proof: :math:`(1 - s)(zI - A) =
+    (I + A)(s - A_c)`, and :math:`(1 - s) = (I - A_c) - (s - A_c)`, where :math:`I - A_c = 2 N`; all of these commute.
+    None where A was not proved to be free of the eigenvalue -1.
     """
     one = identity(G.n)
     N = inverse(one + G.A)
@@ -164,8 +141,7 @@ def on_the_axis(G: Model) -> Model | None:
 def reciprocal(G: Model) -> Model | None:
     r"""Return :math:`R(s) = G(1/s)`, so that :math:`G(j\omega) = R(-j/\omega)`; None where A was not proved regular.
 
-    :math:`A_r = A^{-1}`, :math:`B_r = A^{-1} B`, :math:`C_r = -C A^{-1}`, :math:`D_r = D - C A^{-1} B`, from
-    :math:`(1/s - A)^{-1} = -s (s - A_r)^{-1} A_r` and :math:`s (s - A_r)^{-1} = I + A_r (s - A_r)^{-1}`.
+    From :math:`(1/s - A)^{-1} = -s (s - A_r)^{-1} A_r` and :math:`s (s - A_r)^{-1} = I + A_r (s - A_r)^{-1}`.
     """
     A_r = inverse(G.A)
     if A_r is None:
@@ -175,7 +151,6 @@ def reciprocal(G: Model) -> Model | None:
 
 
 def shifted(G: Model, w: float) -> Matrix:
-    """Return the ball matrix ``j w - A`` at the exact frequency ``w``."""
     return exact(1j * w * np.eye(G.n)) - G.A
 
 
@@ -204,10 +179,7 @@ def gain_exceeds(G: Model, w: float, gamma: float) -> bool:
 
 
 def balanced(G: Model) -> Model:
-    """Scale the states by powers of two so that each one's row, without the diagonal of A, is as large as its column.
-
-    Exact; it keeps floating-point hints in range.
-    """
+    """Scale the states by powers of two, exactly, to keep floating-point hints in range; see `exponents`."""
     sizes = [np.abs(midpoints(X)) for X in (G.A, G.B, G.C)]
     if not all(np.isfinite(X).all() for X in sizes):
         return G
@@ -318,7 +290,6 @@ class Quadratic:
 
 
 def read_scalings(claim: Claim, q: int, p: int, *front: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return ``D_w`` (q, q), ``D_z`` (p, p), ``G`` (q, p) of a claim, with these leading axes."""
     D_w, D_z = (complex_or_real(claim, name, (*front, n, n)) for name, n in (("D_w", q), ("D_z", p)))
     return D_w, D_z, complex_or_real(claim, "G", (*front, q, p))
 
@@ -368,7 +339,6 @@ def _equal(X: NDArray[Any], Y: NDArray[Any]) -> bool:
 
 
 def check_delta(blocks: Sequence[Block], delta: NDArray[Any]) -> None:
-    """Check the blocks' structure of ``delta`` (q, p) to the last bit."""
     rest = delta.copy()
     for i, block in enumerate(blocks):
         own: Any = delta[block.w, block.z]

@@ -1,36 +1,8 @@
-r"""Upper bounds of mu: of one matrix, and of a model at every frequency of the axis or of a band.
+"""Bounds of mu: of a matrix, and of a model at every frequency of the axis or of a band; and what a set contains.
 
-Boxes: Robust stability over boxes of the real parameters, each box with its own scalings.
-
-In a box real block i has its delta in :math:`[c_i - h_i, c_i + h_i]`. With C and H the diagonal matrices of these on
-the channels of w (zero and one on other blocks), :math:`\Delta = C + H \Delta'`, and the loop of M is singular for
-:math:`\Delta` if and only if that of
-
-.. math:: M' = N M H, \quad N = (I - M C)^{-1}
-
-is for :math:`\Delta'`, which has levels of one; C is a constant feedback, so M' is a state-space model where
-:math:`I - D C` is regular. If boxes and frequency intervals cover the set at all frequencies, each with a form that is
-positive definite there, no Delta makes the loop singular; the nominal model is a stable member, the set is connected,
-so every member is stable.
-
-Proves that a Delta near given numbers makes the loop singular, or an unstable member; and what a set contains.
-
-Stored numbers never make a determinant exactly zero. Proved is a zero close to them: a family of matrices
-:math:`K(s) = K_0 + \sum_i s_i K_i`, affine in one or two real numbers, is singular for some :math:`|s_i| \le r_i` with
-proved r. Border K by two vectors b, c that make it regular; then
-
-.. math:: g(s) = e^T \begin{pmatrix} K(s) & b \\ c^* & 0 \end{pmatrix}^{-1} e = \frac{\det K(s)}{\det(\text{bordered})},
-          \qquad \frac{\partial g}{\partial s_i} = -y^T K_i x ,
-
-where x and y are the upper parts of the bordered matrix's last column and row of its inverse, e its last unit vector.
-
-Krawczyk's theorem: if :math:`|{-C g(0)} + (I - C J) [-r, r]| < r` in each entry, with J enclosing the derivatives over
-the box and any matrix C, then g has a zero in the box: by Brouwer :math:`s - C g(s)` has a fixed point there, and the
-strict inequality makes C J, hence C, regular. A complex g counts as two real equations, a real one as one.
-
-References
-----------
-Krawczyk, "Newton-Algorithmen zur Bestimmung von Nullstellen mit Fehlerschranken", Computing 4 (1969).
+The theorems with their proofs are in docs/proofs.md, in the same symbols. From above: scalings for intervals of
+frequency, and for boxes of the real parameters. From below: a Delta near given numbers makes the loop singular, or a
+member unstable.
 """
 
 from __future__ import annotations
@@ -85,6 +57,7 @@ from robustlab.verification.models import (
     read_scalings,
     read_shapes,
     scaled_form,
+    static,
     within,
 )
 from robustlab.verification.norms import axis, climb, eigenvalues, outside, stable
@@ -92,17 +65,16 @@ from robustlab.verification.norms import axis, climb, eigenvalues, outside, stab
 
 def prove_mu_upper(claim: Claim, work: Work) -> Verdict:
     """Prove by ``D_w``, ``D_z``, ``G`` that no Delta with norms within 1/``level`` makes I - ``M`` Delta singular."""
-    M = complex_or_real(claim, "M", (None, None))
-    p, q = M.shape
-    blocks = read_blocks(claim, q, p)
-    scalings = read_scalings(claim, q, p)
+    M = static(claim).D
+    p, q = M.nrows(), M.ncols()
+    blocks, scalings = read_blocks(claim, q, p), read_scalings(claim, q, p)
 
     def attempt() -> Verdict:
         form = scaled_form(blocks, *scalings, work)
         if form is None:
             return not_proved("D_w > 0 was not proved")
         work.spend(q)
-        answer = definite(form.of(exact(M)))
+        answer = definite(form.of(M))
         return PROVED if answer.proved else not_proved(f"the form's smallest eigenvalue is {answer.least:.3g}")
 
     return climb(attempt)
@@ -270,9 +242,8 @@ LEAST = 1e-20  # smallest half width of a box, as a change of g
 
 def prove_mu_lower(claim: Claim, work: Work) -> Verdict:
     """Prove that a Delta of the ``blocks`` within (1 + 1e-9)/``level`` near ``delta`` makes I - M Delta singular."""
-    M = complex_or_real(claim, "M", (None, None))
-    blocks = read_blocks(claim, M.shape[1], M.shape[0])
-    return singular_member(claim, exact(M), blocks, work)
+    M = static(claim).D
+    return singular_member(claim, M, read_blocks(claim, M.ncols(), M.nrows()), work)
 
 
 def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
@@ -303,7 +274,6 @@ def prove_unstable_member(claim: Claim, work: Work) -> Verdict:
 
 
 def given_delta(claim: Claim, blocks: Sequence[Block], q: int, p: int) -> NDArray[Any]:
-    """Return the dataset ``delta`` (q, p); InputError where it has not the structure."""
     delta = complex_or_real(claim, "delta", (q, p))
     check_delta(blocks, delta)
     return delta
@@ -333,10 +303,7 @@ def singular_member(claim: Claim, M: Matrix, blocks: Sequence[Block], work: Work
 
 
 def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
-    """Estimate the smallest changes of Delta, relative to each block's level, that move g by 1 and (complex) by j.
-
-    They have Delta's structure to the last bit.
-    """
+    """Estimate the smallest changes of Delta, relative to each block's level, that move g by 1 and (complex) by j."""
     middle = midpoints(K)
     real = not np.iscomplexobj(middle)
     if not middle.size or not np.isfinite(middle).all():
@@ -358,9 +325,9 @@ def _directions(M: Matrix, K: Matrix, blocks: Sequence[Block]) -> list[Any]:
 
 
 def zero_within(K: Matrix, directions: Sequence[Matrix], work: Work) -> list[arb] | None:
-    """Return half widths r so that ``K + sum s_i directions_i`` is singular for some ``|s_i| <= r_i``, or None.
+    """Return r so that ``K + sum s_i directions_i`` is singular for some ``|s_i| <= r_i``, by Krawczyk's test, or None.
 
-    ``K``: ball matrix (n, n); the claim holds for the exact matrix in it. One direction with real matrices, else two.
+    It holds for the exact matrix in the ball K (n, n). One direction with real matrices, else two.
     """
     n, middle = K.nrows(), midpoints(K)
     real = not any(np.iscomplexobj(midpoints(X)) for X in (K, *directions))
@@ -414,7 +381,7 @@ def _value_and_slopes(
 
 
 def closed(G: Model, delta: Matrix) -> Matrix | None:
-    r"""Return A of the member, :math:`A + B \Delta (I - D \Delta)^{-1} C`; None where not proved to be well posed."""
+    """Return A of the member; None where not proved to be well posed."""
     N = inverse(identity(G.p) - G.D * delta)
     return None if N is None else G.A + G.B * delta * N * G.C
 

@@ -1,51 +1,8 @@
-r"""Proves a form F(M(jw)) > 0 on a frequency interval, by its value at one point and a matrix without real roots.
+"""Proofs about a model in balls: stability, H-infinity and H2 norms, and definite forms on intervals of frequency.
 
-With :math:`X = (j\omega - A)^{-1} B` and M = D + C X the form is quadratic in X (`Quadratic`):
-
-.. math:: F(\omega) = T + S^* X + X^* S + X^* Q X .
-
-Let :math:`R = (j\omega_0 - A)^{-1}`, X that of :math:`\omega_0`, :math:`F_0 = F(\omega_0)`, :math:`L = S + Q X`, and
-
-.. math:: K = \begin{pmatrix} -R + X F_0^{-1} L^* R & -X F_0^{-1} X^* \\
-          R^* (L F_0^{-1} L^* - Q) R & R^* - R^* L F_0^{-1} X^* \end{pmatrix} .
-
-Theorem. If :math:`F_0 > 0`, and :math:`I + \delta j R` and :math:`I - \delta j K` are regular for all real
-:math:`|\delta| \le r`, then A has no eigenvalue :math:`j\omega`, and :math:`F(\omega) > 0`, for all
-:math:`|\omega - \omega_0| \le r`.
-
-Proof. With :math:`\omega = \omega_0 + \delta`: :math:`j\omega - A = (j\omega_0 - A)(I + \delta j R)` is regular, so F
-is continuous. If it is not positive definite throughout, it is singular somewhere: F u = 0, u and delta not zero. Put
-:math:`x = (j\omega - A)^{-1} B u`, :math:`p = (j\omega - A)^{-*} (Q x + S u)`, so :math:`S^* x + B^* p + T u = 0`, and
-:math:`\xi = j\delta x`, :math:`\eta = j\delta p`. From :math:`(j\omega_0 - A) x = B u - \xi` and
-:math:`(j\omega_0 - A)^* p = Q x + S u + \eta` follow :math:`x = X u - R \xi`, :math:`p = R^* (L u - Q R \xi + \eta)`
-and :math:`F_0 u = L^* R \xi - X^* \eta`. With it :math:`(x, p) = K (\xi, \eta)`: :math:`(I - \delta j K)(x, p) = 0`.
-So x = p = 0, hence B u = S u = T u = 0 and :math:`F_0 u = 0`: a contradiction.
-
-Regularity of a family :math:`I - \delta H` (`regular_within`): if :math:`W V - \delta W H V` is strictly diagonally
-dominant for all :math:`|\delta| \le r`, it is regular, and so are its factors. W and V are arbitrary; floating point
-chooses eigenvectors of H and their inverse, or diagonal matrices where these suffice.
-
-An interval that fails is halved. High frequencies, infinity included, are those of the reciprocal model around 0; a
-discrete model is mapped to a continuous one first (`models`).
-
-References
-----------
-Boyd, Balakrishnan, Kabamba, "A bisection method for computing the H-infinity norm", MCSS 2 (1989), with its test made
-about a point of the axis, and in balls.
-
-Stability, H-infinity and H2 norms of a model in balls.
-
-Lyapunov: A is stable (every eigenvalue left of the imaginary axis; discrete: inside the unit circle) if some P > 0 has
-:math:`-(A^T P + P A) > 0` (discrete: :math:`P - A^T P A > 0`). Floating point finds P; else the eigenvalues are
-enclosed.
-
-Bounded real lemma (strict). With :math:`\gamma > 0`, P = P^T > 0 and
-
-.. math:: -\begin{pmatrix} A^T P + P A + C^T C & P B + C^T D \\ B^T P + D^T C & D^T D - \gamma^2 I \end{pmatrix} > 0
-
-A is stable and :math:`\|G\|_\infty < \gamma`: the first block is Lyapunov's inequality, and for
-:math:`x = (j\omega - A)^{-1} B u` the form at (x, u) is :math:`\gamma^2 |u|^2 - |G(j\omega) u|^2 > 0`, at infinity the
-last block. Discrete: :math:`A^T P A - P`, :math:`A^T P B`, :math:`B^T P B` in place of the parts with P.
+The theorems with their proofs are in docs/proofs.md, in the same symbols. An interval that fails is halved. High
+frequencies, infinity included, are those of the reciprocal model around 0; a discrete model is mapped to a continuous
+one first (`models`). Floating point proposes P, or the eigenvectors of the test of regularity.
 """
 
 from __future__ import annotations
@@ -199,7 +156,7 @@ def _box(G: Model, w0: float, r: float, form: Quadratic) -> Definite:
 
 
 def pencil(form: Quadratic, R: Matrix, X: Matrix, F: Matrix) -> Matrix | None:
-    """Return ``j K`` of the module's text, shape (2n, 2n); None where F was not proved regular."""
+    """Return ``j K`` of the theorem, shape (2n, 2n); None where F was not proved regular."""
     G = inverse(F)
     if G is None:
         return None
@@ -210,16 +167,13 @@ def pencil(form: Quadratic, R: Matrix, X: Matrix, F: Matrix) -> Matrix | None:
 
 
 def regular_within(H: Matrix, r: float) -> bool:
-    """Prove ``I - d H`` regular for all real |d| <= r, by the module's text; H (n, n)."""
+    """Prove ``I - d H`` regular for all real |d| <= r, by the diagonal of ``W V - d W H V``; H (n, n)."""
     hint = midpoints(H)
     return bool(np.isfinite(hint).all()) and any(_dominant(H, r, exact(W), exact(V)) for W, V in _bases(hint, r))
 
 
 def _bases(hint: np.ndarray, r: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield candidates W, V, cheapest first; none if a real eigenvalue excludes a proof.
-
-    Row scalings where ``d H`` is small; those of its Schur form, for a small spectral radius; eigenvectors.
-    """
+    """Yield W, V: row scalings where ``d H`` is small; those of its Schur form; eigenvectors, if none is real."""
     try:
         if (units := _units(hint, r)) is not None:
             yield np.diag(1 / units), np.diag(units)
@@ -320,7 +274,6 @@ def eigenvalues(A: Matrix) -> list[acb]:
 
 
 def outside(value: acb, dt: float) -> bool:
-    """Test whether all of the ball is beyond the stability boundary."""
     return bool(value.abs_lower() > 1 if dt else value.real > 0)
 
 
@@ -379,7 +332,6 @@ def in_two_parts(claim: Claim, n: int) -> Matrix:
 
 
 def prove_stable(claim: Claim, work: Work) -> Verdict:
-    """Prove that A (n, n) is stable."""
     A = real(claim, "A", (None, None))
     n = len(real(claim, "A", (len(A), len(A))))
     dt = scalar(claim, "dt", zero=True)
@@ -387,7 +339,6 @@ def prove_stable(claim: Claim, work: Work) -> Verdict:
 
 
 def bounded_real_form(G: Model, P: Matrix, gamma: float) -> Matrix:
-    """Return the matrix of the module's text, shape (n + m, n + m)."""
     PA, PB = P * G.A, P * G.B
     if G.dt:
         parts = adjoint(G.A) * PA - P, adjoint(G.A) * PB, adjoint(G.B) * PB

@@ -1,34 +1,8 @@
-r"""Gain of a model with time-varying parameters, for all their trajectories, between grid points too.
+"""Gain of a model with time-varying parameters, for all their trajectories, between grid points too.
 
-.. math:: \dot x = A(\rho) x + B(\rho) u, \quad y = C(\rho) x + D(\rho) u, \qquad
-    M(\rho) = \begin{bmatrix} A & B \\ C & D \end{bmatrix} = \bar M(\rho) + E(\rho), \quad |E| \le \bar E
-
-:math:`\bar M` is given at the points of a grid and multi-linear in each cell of it, :math:`\bar E` entry by entry. P is
-multi-linear on the same grid along the parameters with which it varies.
-
-Theorem (Wu, Yang, Packard, Becker 1996). If P > 0 and
-
-.. math:: L = -\begin{bmatrix} A^T P + P A + \sum_i \dot\rho_i\, \partial_i P & P B & C^T \\
-    \cdot & -\gamma I & D^T \\ \cdot & \cdot & -\gamma I \end{bmatrix} > 0
-
-for all rho in the box and all :math:`|\dot\rho_i| \le \nu_i` (any rate, where P does not vary along i), then along
-every trajectory that keeps to both x = 0 is stable, and :math:`\|y\|_2 \le \gamma \|u\|_2` from x(0) = 0.
-
-Proof. With y for the last rows (Schur) :math:`\frac{d}{dt} x^T P x < \gamma |u|^2 - |y|^2/\gamma`, integrated from 0.
-P is Lipschitz in rho: the derivative exists for almost all t, and is that within a cell which the motion enters.
-
-In a cell, with :math:`\sigma \in [0, 1]^k` the place in it, M and P are :math:`\sum_v b_v(\sigma) M_v` and
-:math:`\sum_w b_w(\sigma) P_w` over its vertices, so L is of degree 2, and with Bernstein's polynomials
-
-.. math:: L(\sigma) = \sum_{c \in \{0,1,2\}^k} \beta_c(\sigma) L_c, \qquad \beta_c \ge 0, \quad \sum_c \beta_c = 1,
-
-with L_c the mean of L(M_v, P_w) over all pairs of vertices with v + w = c, as :math:`b_v b_w = \beta_{v+w} / \prod_i
-\binom{2}{v_i + w_i}`. :math:`\partial_i P` is the difference of the vertices of P along i over the cell's length. L is
-affine in the rates and in E (the same at all vertices: it is that at rho), so it suffices to test the extreme values of
-both; where more than three entries of E are not zero, they are balls. So if all L_c > 0, L > 0 in the whole cell.
-
-A loop: such a plant and a controller u = K(rho) y, multi-linear on the same grid. Where B2, D12, C2, D21 are the same
-everywhere and D22 = 0, the loop is multi-linear too, and is that of the vertices.
+The model and P are multi-linear in the cells of a grid, the model to within a bound E, entry by entry; the theorem with
+its proof is in docs/proofs.md, in the same symbols. A loop is that of a plant and a controller u = K(rho) y,
+multi-linear on the same grid; it is multi-linear too where B2, D12, C2, D21 are constant and D22 = 0.
 """
 
 from __future__ import annotations

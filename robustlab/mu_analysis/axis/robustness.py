@@ -681,7 +681,7 @@ class _Gain(_Search):
         )  # fmt: skip
         s = np.exp(1j * self.frequency * M.dt) if M.is_discrete else 1j * self.frequency
         at = complex(s) if np.isfinite(self.frequency) else complex(np.inf)
-        error = gain_rounding(A, B, C, D, at, sums)
+        error = float(gain_rounding(A, B, C, D, np.array([at]), sums)[1][0])
         if error <= BLURRED * self.attained or not np.isfinite(at):
             return error
         # Omit modes that a zero nearly cancels: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
