@@ -68,7 +68,7 @@ FILES: Options = (
 
 
 def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
-    result = {"model": options["named"]["model"], **found.to_json()}
+    result = {"model": options["named"]["plant"], **found.to_json()}
     origin, written = provenance_of("data discover", files, values), list[str]()
     if options["figures"] or options["folder"]:
         options["report"]("figures and files")

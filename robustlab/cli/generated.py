@@ -106,9 +106,9 @@ More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
 def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
     """Return the command of an operation for the parser."""
     words = declared.command
-    offered = [p for p in declared.parameters if p.called.only != "step"]
-    things = [(p.kind, p.called.option) for p in offered if isinstance(p.kind, Thing)]
-    alone = sum(isinstance(p.kind, (Thing, TextFile)) and p.needed and not p.called.option for p in offered) == 1
+    offered = [p for p in declared.parameters if p.kind.only != "step"]
+    things = [(p.kind, p.kind.option) for p in offered if isinstance(p.kind, Thing)]
+    alone = sum(isinstance(p.kind, (Thing, TextFile)) and p.needed and not p.kind.option for p in offered) == 1
     reading = dict.fromkeys(kind.reading for kind, option in things if kind.reading != "model" or not option)
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
@@ -293,7 +293,7 @@ def _typed(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any
     for p in chosen.parameters:
         value = given.get(p.name)
         if value not in (None, _as_text(p), []):
-            word = "" if isinstance(p.kind, Thing) and not p.called.option else p.options[-1].lstrip("-")
+            word = "" if isinstance(p.kind, Thing) and not p.kind.option else p.options[-1].lstrip("-")
             texts = value if isinstance(value, list) else [value]
             words += [f"{word} {text}".strip() for text in texts if word or text not in files]
     return ", ".join([*words, *(f"set {text}" for text in shared.get("settings") or ())])
@@ -375,13 +375,13 @@ def _units_of(system: Any, side: str) -> dict[str, str]:
 
 
 def _given(p: Parameter, alone: bool) -> Given:
-    placed = p.called.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.called.option)
+    placed = p.kind.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.kind.option)
     positional = placed and (p.needed or getattr(p.kind, "positional", False))
     kind: Any = p.kind.taken
     help_text = p.help if not isinstance(p.kind, Choice) else f"{p.help} One of {', '.join(p.kind.words)}.".strip()
     if positional:
         many = isinstance(p.kind, Thing) and p.kind.many
-        metavar = "FILE..." if many else "FILE" if alone and p.called.option != "*" else p.name.upper()
+        metavar = "FILE..." if many else "FILE" if alone and p.kind.option != "*" else p.name.upper()
         option: Any = typer.Argument(help=help_text, metavar=metavar, autocompletion=_offer(p.kind))
         default: Any = Given.empty if p.needed else None
         taken = kind if p.needed else kind | None

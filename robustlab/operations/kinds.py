@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -35,8 +35,14 @@ def bounded(taken: Any, **bounds: Any) -> Any:
 
 @dataclass(frozen=True)
 class Kind:
-    """A text; base of the other kinds."""
+    """A text; base of the other kinds, with the names of the parameter where they differ from that in the function."""
 
+    _: KW_ONLY
+    argument: str = ""  # in Python
+    option: str = ""  # ``--filter-order``, or ``-k,--controller``
+    key: str = ""  # of a recipe; "of" for the first object of an operation where left out
+    only: str = ""  # "command" or "step", where only that one has the parameter
+    in_step: Any = None  # default of a recipe's key, where it differs from the command's; ``...``: required
     taken: ClassVar[Any] = str  # type that the command's parser gives
     metavar: ClassVar[str | None] = None
 

@@ -8,10 +8,11 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.declaration import InLoop, operation
 from robustlab.operations.kinds import (
     Choice,
     Ends,
+    Flag,
     Keyed,
     Names,
     Number,
@@ -24,7 +25,7 @@ from robustlab.operations.kinds import (
     Whole,
     bounded,
 )
-from robustlab.operations.words import Controller, Model, Outputs, Search, Sign, System
+from robustlab.operations.words import Controller, Model, Outputs, Sign, System
 
 COVERS = (
     "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
@@ -58,9 +59,8 @@ At = Annotated[
 ]
 Pose = Annotated[
     tuple[float, ...] | None,
-    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ"),
+    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ", only="command"),
     "Pose of a platform in m and rad; home if left out.",
-    Named(only="command"),
 ]
 
 
@@ -145,10 +145,7 @@ def _inferred_steady_state(step: Any, ahead: Any) -> Any:
 def steady_state(
     model: Model,
     inputs: Annotated[
-        dict[str, Any],
-        Table(Number(), "inputs"),
-        "Constant input, u=42 or u=42V; repeatable.",
-        Named(option="--input-value"),
+        dict[str, Any], Table(Number(), "inputs", option="--input-value"), "Constant input, u=42 or u=42V; repeatable."
     ],
     outputs: Outputs = None,
 ) -> Any:
@@ -163,9 +160,8 @@ def diff(
     first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
         Any,
-        Thing(ANY, model=True, positional=True),
+        Thing(ANY, model=True, positional=True, key="beside"),
         "The other file; left out where the first one holds a nominal and a perturbed model.",
-        Named(key="beside"),
     ] = None,
 ) -> Any:
     """The entries in which two models differ.
@@ -201,10 +197,7 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
 )
 def elementwise(
     nominal: Annotated[
-        Any,
-        Thing(ANY, pair=True),
-        "Nominal model; or one file with groups nominal and perturbed.",
-        Named(key="nominal"),
+        Any, Thing(ANY, pair=True, key="nominal"), "Nominal model; or one file with groups nominal and perturbed."
     ],
     perturbed: Annotated[
         Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
@@ -240,17 +233,15 @@ def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
     tolerances: Annotated[
         dict[str, Any] | None,
-        Table(Share(above=0, below=1), "parameters"),
+        Table(Share(above=0, below=1), "parameters", option="--tolerance"),
         "Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.",
-        Named(option="--tolerance"),
     ] = None,
     ranges: Annotated[
         dict[str, Any] | None,
-        Table(Ends(), "parameters", words="NAME=LOW:HIGH"),
+        Table(Ends(), "parameters", words="NAME=LOW:HIGH", option="--range"),
         "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
-        Named(option="--range"),
     ] = None,
-    own: Annotated[bool, "Keep the plant's own tolerances of the other parameters.", Named(in_step=False)] = True,
+    own: Annotated[bool, Flag(in_step=False), "Keep the plant's own tolerances of the other parameters."] = True,
     outputs: Outputs = None,
     at: At = None,
     pose: Pose = None,
@@ -306,34 +297,30 @@ def _inferred_cover(step: Any, ahead: Any) -> Any:
     )  # loads come before its inputs
 
 
-@operation("uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain",
-           made="model", infer=_inferred_cover)  # fmt: skip
+@operation(
+    "uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model",
+    infer=_inferred_cover, public="mu_analysis.margins.cover.cover",
+    kinds={
+        "form": (Choice(COVERS), "Of the cover."), "tolerance": Number(least=0, below=1, only="step"),
+        "gain": (Flag(only="step", key="conservatism"), "Compare the worst gain of the cover with that of the set."),
+    },
+)  # fmt: skip
 def cover(
     models: Annotated[
-        Any, Thing(ANY, model=True, many=True, positional=True), "Models to cover; at least two.", Named(key="models")
+        Any, Thing(ANY, model=True, many=True, positional=True, key="models"), "Models to cover; at least two."
     ] = None,
     plant: Annotated[
-        Any, Thing(("plant", "any")), "A mechanism, linearised at each of `poses`.", Named(key="of", only="step")
+        Any, Thing(("plant", "any"), key="of", only="step"), "A mechanism, linearised at each of `poses`."
     ] = None,
     poses: Annotated[
-        Any, Keyed(list[list[float]]), "Operating points: tx, ty, tz in m, ax, ay, az in rad.", Named(only="step")
+        Any, Keyed(list[list[float]], only="step"), "Operating points: tx, ty, tz in m, ax, ay, az in rad."
     ] = (),
     *,
-    form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
-    tolerance: Annotated[
-        float, Number(least=0, below=1), "Allowed error of an entry: pca needs fewer directions.", Named(only="step")
-    ] = 1e-9,
     controller: Annotated[
-        Controller | None,
-        "A controller, with its sign: the cover's worst gain is that of its loop.",
-        Named(option="--controller,-k"),
+        Controller | None, "A controller, with its sign: the cover's worst gain is that of its loop."
     ] = None,
-    sign: Annotated[Sign, Named(option="--feedback")] = None,
-    gain: Annotated[
-        bool, "Compare the worst gain of the cover with that of the set.", Named(only="step", key="conservatism")
-    ] = True,
-    search: Search,
-    progress: Any = None,
+    sign: Sign = None,
+    **options: Any,
 ) -> Any:
     """The smallest uncertain model of a form that contains a set of models, with its conservatism.
 
@@ -355,7 +342,7 @@ def cover(
 
         around, closed, words = feedback_loop(models[0], controller, sign, "cover", None)
         loop = lambda g: g.feedback(around, closed)  # noqa: E731
-    found = rl.cover(models, form, tolerance=tolerance, loop=loop, gain=gain, progress=progress, **vars(search))
+    found = rl.cover(models, loop=loop, **options)
     loads = at_poses[0][1] if at_poses else ()
     numbers = {"loads": {load.name: load.bound for load in loads}}
     return InLoop(found, words, tuple(load.in_words for load in loads), numbers=numbers)

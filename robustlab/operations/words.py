@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.operations.declaration import Named
 from robustlab.operations.kinds import Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
@@ -16,12 +15,11 @@ Plant = Annotated[Any, Machine(), "Model file, name of a plant, or file.py:name.
 UncertainPlant = Annotated[Any, Machine(("uncertain", "any")), "Uncertain model: a file, or a plant with tolerances."]
 Moved = Annotated[Any, Thing(("plant", "any")), "A discover step, or a plant with effects."]
 Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."]
-Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
+Controller = Annotated[Any, Thing(("controller", "any"), option="--controller,-k"), "File with the controller."]
 Sign = Annotated[
     Any,
-    Feedback(),
+    Feedback(option="--feedback"),
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
-    Named(argument="sign"),
 ]
 Effort = Annotated[float, Number(above=0, most=10_000), "Work allowed for the search, as a multiple of the usual."]
 TimeLimit = Annotated[
@@ -32,6 +30,10 @@ Frequency = Annotated[list[float] | None, Numbers("rad/s"), "At these frequencie
 Inputs = Annotated[list[str] | None, Names("inputs"), "Inputs to keep; all if left out."]
 Outputs = Annotated[list[str] | None, Names("outputs"), "Outputs to keep; all if left out."]
 SampleTime = Annotated[float, Number(above=0), "Sample time in s."]
+
+
+# Parameters of public functions that every operation passes on.
+COMMON: dict[str, Any] = {"effort": Effort, "time_limit": TimeLimit, "seed": Seed, "progress": ()}
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ class Signals:
 class Loop:
     """A controller around the system."""
 
-    controller: Annotated[Controller | None, Named(option="--controller,-k")] = None
-    sign: Annotated[Sign, Named(option="--feedback")] = None
+    controller: Controller | None = None
+    sign: Sign = None
 
     def around(self, system: Any, where: str) -> tuple[Any, str]:
         """Return the closed loop and its description, or the system without a controller."""

@@ -86,7 +86,7 @@ class OperationStep(Step):
             if p.name == "seed":
                 own = vars(self)["seed"]
                 values["seed"] = work.seed if own is None else own
-            elif p.called.only != "command":
+            elif p.kind.only != "command":
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
                     values[p.name] = _thing(p.kind, given, work) if isinstance(p.kind, Thing) else given
@@ -146,13 +146,13 @@ def step_of(word: str, declared: Operation) -> type[OperationStep]:
     """Return the class of the steps of an operation."""
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
-        if p.called.only == "command":
+        if p.kind.only == "command":
             continue
         if p.name == "seed":
             keys["seed"] = (p.kind.field() | None, Field(None, description="The recipe's seed where left out."))
             continue
         kind: Any = p.kind.field()
-        default = ... if p.needed else p.default if p.called.in_step is None else p.called.in_step
+        default = ... if p.needed else p.default if p.kind.in_step is None else p.kind.in_step
         if p.needed and isinstance(p.kind, Thing) and (p.kind.many or p.kind.named):
             kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
