@@ -88,12 +88,8 @@ Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5""",
 )  # fmt: skip
 
 
-def _inferred_set(step: Any, ahead: Any) -> Any:
-    return replace(ahead[None], outputs=ahead[step.of].outputs, leaves=type(step).leaves)  # loads are before its inputs
-
-
 @operation(
-    "", "data-cover", result=f"{VALIDATED}data_cover.DataCover", gives="uncertain", made="model", infer=_inferred_set,
+    "", "data-cover", result=f"{VALIDATED}data_cover.DataCover", gives="uncertain", made="model", infer=("", "of"),
     public=f"{VALIDATED}data_cover.data_cover",
     kinds={
         "noise": Table(Number(above=0), "outputs"), "margin": Number(least=1), "least": Number(least=0, below=1),
@@ -131,12 +127,10 @@ def data_cover(
     return found
 
 
-def _inferred_loads(step: Any, ahead: Any) -> Any:
-    leaves = {**type(step).leaves, "largest": {"*": "1"}, "bound": {"*": float}}
-    return replace(ahead[None], outputs=ahead[step.record].outputs, leaves=leaves)
-
-
-@operation("", "with-loads", result="record.Record", gives="record", infer=_inferred_loads)
+@operation(
+    "", "with-loads", result="record.Record", gives="record", infer=("", "record"),
+    numbers={"largest": {"*": "1"}, "bound": {"*": float}},
+)  # fmt: skip
 def with_loads(
     plant: Moved,
     record: Measured,

@@ -83,9 +83,10 @@ class Operation:
     result: str  # ``module.Class`` of the result, below ``robustlab``; several with commas between them
     gives: str = "nothing"  # kind of the value passed to later steps
     made: str = ""  # attribute of the result to save with ``--out`` and pass to later steps; "": the result
-    # Inference before a recipe runs: the key of a step whose signals the result keeps (those of ``outputs`` where that
-    # is a key), or a function of the step and the inference of earlier steps; None: nothing.
-    infer: str | Callable[[Any, Any], Any] | None = None
+    # Before a recipe runs: the keys of steps whose inputs and whose outputs the result has ("of models": the first that
+    # is given), or a function of the step and the inference of earlier steps; None: it has none.
+    infer: tuple[str, str] | Callable[[Any, Any], Any] | None = None
+    numbers: Mapping[str, Any] = field(default_factory=dict[str, Any])  # `InLoop.numbers`: name -> unit
     own: bool = False  # the command is defined by hand in its group
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
     public: str = ""  # path ``module.function`` below ``robustlab`` of the public function
@@ -146,7 +147,7 @@ class Operation:
     def quantities(self) -> Mapping[str, Any]:
         """Return the names that requirements may refer to, of all classes of the result."""
         found = [kind.quantities for kind in self.result_classes]
-        return found[0] if len(found) == 1 else {name: leaf for each in reversed(found) for name, leaf in each.items()}
+        return {name: leaf for each in (*reversed(found), self.numbers) for name, leaf in each.items()}
 
     def made_of(self, result: Any) -> Any:
         """Return the part of a result that is saved and passed to later steps."""

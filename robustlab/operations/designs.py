@@ -235,7 +235,7 @@ def ncf(
 
 
 REDUCTION, WEIGHT = "synthesis.reduction.model_reduction.", Thing(("model", "any"))
-REDUCED: Any = {"result": REDUCTION + "ReducedModel", "gives": "model", "made": "model", "infer": "of"}
+REDUCED: Any = {"result": REDUCTION + "ReducedModel", "gives": "model", "made": "model", "infer": ("of", "of")}
 
 public(
     f"{REDUCTION}reduce_model", "model reduce", "reduce-model", **REDUCED,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
@@ -75,7 +74,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
     return list(pose) if pose is not None else at
 
 
-@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer="of")
+@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer=("of", "of"))
 def linearise(
     plant: Plant,
     at: At = None,
@@ -136,12 +135,7 @@ def check(system: System) -> Any:
     return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
 
 
-def _inferred_steady_state(step: Any, ahead: Any) -> Any:
-    kept = ahead[step.of].select(step.outputs).outputs
-    return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
-
-
-@operation("", "steady-state", result="linear_analysis.frequency.SteadyState", infer=_inferred_steady_state)
+@operation("", "steady-state", result="linear_analysis.frequency.SteadyState")
 def steady_state(
     model: Model,
     inputs: Annotated[
@@ -193,7 +187,7 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     result="uncertainty.elementwise.BuiltModel",
     gives="uncertain",
     made="model",
-    infer="nominal",
+    infer=("nominal", "nominal"),
 )
 def elementwise(
     nominal: Annotated[
@@ -228,7 +222,7 @@ def elementwise(
 
 
 @operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
-      infer="of")  # fmt: skip
+      infer=("of", "of"))  # fmt: skip
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
     tolerances: Annotated[
@@ -290,16 +284,9 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
 
 
-def _inferred_cover(step: Any, ahead: Any) -> Any:
-    source = ahead[step.of or next(iter(step.models or ()), None)]
-    return replace(
-        source.select(None), inputs=None, leaves={**type(step).leaves, "loads": {"*": float}}
-    )  # loads come before its inputs
-
-
 @operation(
     "uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model",
-    infer=_inferred_cover, public="mu_analysis.margins.cover.cover",
+    infer=("", "of models"), numbers={"loads": {"*": float}}, public="mu_analysis.margins.cover.cover",
     kinds={
         "form": (Choice(COVERS), "Of the cover."), "tolerance": Number(least=0, below=1, only="step"),
         "gain": (Flag(only="step", key="conservatism"), "Compare the worst gain of the cover with that of the set."),
@@ -357,18 +344,13 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
-def _inferred_blocks(step: Any, ahead: Any) -> Any:
-    # Bounded errors come before its inputs.
-    return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
-
-
 @operation(
     "uncertain discovery",
     "uncertain-from",
     result="dynamics.extended.effect_blocks.EffectBlocks",
     gives="uncertain",
     made="model",
-    infer=_inferred_blocks,
+    infer=("", "of"),
 )
 def uncertain_from(
     discovery: Annotated[

@@ -47,22 +47,27 @@ class OperationStep(Step):
 
     def infer(self, ahead: Ahead) -> Inferred:
         """Infer the names for requirements and the signals for later steps; check that a record fits its model."""
-        known = self.declared.infer
-        if known is not None and not isinstance(known, str):
-            return known(self, ahead)
+        known, kept = self.declared.infer, getattr(self, "outputs", None)
+        if isinstance(known, tuple):
+            inputs, outputs = (ahead[self._reference(keys)] for keys in known)
+            return Inferred(None, inputs.inputs, outputs.select(kept).outputs)
         if known is not None:
-            kept = getattr(self, "outputs", None)
-            return ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
+            return known(self, ahead)
         first = _first(self.declared)
         given = getattr(self, first) if first else None
         of = given if isinstance(given, str) else None
         fits = [compared(ahead, of, name) for name in self._records() if name != of]
-        inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].outputs)
+        inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].select(kept).outputs)
         leaves = with_signals(self.pattern(ahead), inputs, outputs)
         for p in self.declared.parameters:
             if isinstance(p.kind, Thing) and p.kind.named and p.key in leaves:
                 leaves[p.key] = dict.fromkeys(getattr(self, p.key), leaves[p.key]["*"])
         return Inferred(leaves=leaves)
+
+    def _reference(self, keys: str) -> str | None:
+        """Return the step that the first given one of some keys names."""
+        given = next(filter(None, (getattr(self, key) for key in keys.split())), None)
+        return given[0] if isinstance(given, list) else given
 
     def pattern(self, ahead: Ahead) -> Any:
         """Return the names for requirements; a kind of step may know more than its result's class."""

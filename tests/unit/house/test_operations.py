@@ -21,8 +21,10 @@ ONE_WAY: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the members' envelope of a record, in recipes",
     "discretise_by_formula": "one line in Python",
-    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored"), "of a command alone"),
-    **dict.fromkeys(("steady_state", "close_loop", "cascade", "join"), "one line in Python; recipes use the step"),
+    **dict.fromkeys(("show", "sample", "campaign", "resume", "read_campaign"), "of a command alone"),
+    **dict.fromkeys(
+        ("steady_state", "close_loop", "cascade", "join_clocks"), "one line in Python; recipes use the step"
+    ),
     **dict.fromkeys(("data_cover", "with_loads", "tracking_problem", "feed_forward"), "of recipes"),
     **dict.fromkeys(("compare_performance", "follow_sine", "follow_path"), "of recipes"),
 }
