@@ -32,11 +32,7 @@ if TYPE_CHECKING:
 
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
-app = typer.Typer(
-    help="Check, convert and compare measured records; name what a model lacks.",
-    no_args_is_help=True,
-    add_completion=False,
-)
+app = typer.Typer()
 add_commands(app, "data", "data")
 
 

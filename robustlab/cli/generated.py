@@ -121,8 +121,7 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
         answer(words, declared, given, shared, more)
 
     command.__name__ = words.replace(" ", "_").replace("-", "_")
-    parts = (declared.title, declared.more, f"Example: {declared.example}" if declared.example else "")
-    command.__doc__ = "\n\n".join(filter(None, parts))
+    command.__doc__ = "\n\n".join(declared.paragraphs)
     return _offering(command, [_given(p, alone) for p in offered], own)
 
 

@@ -88,7 +88,7 @@ def parser(name: str) -> Any:
     from typer.main import get_command
 
     made, title = GROUPS[name]
-    app, families = typer.Typer(help=title, no_args_is_help=True, add_completion=False), made.split()
+    app, families = typer.Typer(), made.split()
     if ":" in made:
         module, _, app_name = families.pop(0).partition(":")
         app = getattr(import_module(f"robustlab.cli.{module}"), app_name)
@@ -96,12 +96,13 @@ def parser(name: str) -> Any:
         from robustlab.cli.generated import add_commands
 
         add_commands(app, name, *families)
+    app.info.help = app.info.help or title
+    app.info.no_args_is_help, app._add_completion = True, False
     app.rich_markup_mode = None  # plain text, as in the documentation
     return get_command(app)
 
 
 def help_text() -> str:
-    """Return the text of ``robustlab --help``."""
     width = max(map(len, GROUPS))
     rows = [f"  {name.ljust(width)}  {line}\n" for name, (_, line) in GROUPS.items()]
     return _HEAD + "".join(rows) + _FOOT
@@ -168,7 +169,6 @@ def _raise_with_choices(error: Any) -> None:
 
 
 def main() -> None:
-    """Entry point of the ``robustlab`` script."""
     from robustlab.cli.console import main_guard, ready_streams
 
     def command() -> int:

@@ -17,9 +17,7 @@ from robustlab.operations import reading
 from robustlab.operations.kinds import Ends, Number, Table
 from robustlab.operations.reading import made_of, plant_settings
 
-PLANT = typer.Typer(
-    help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
-)
+PLANT, MODEL = typer.Typer(), typer.Typer()
 
 
 @PLANT.command("list")
@@ -188,7 +186,6 @@ def _joints(plant: Any) -> list[dict[str, str]]:
 
 
 def signal_lines(thing: Any) -> list[str]:
-    """Return a line each for inputs, outputs and states of a plant or model."""
     return [f"  {side}: {', '.join(named(getattr(thing, side))) or 'none'}" for side in SIDES]
 
 
@@ -211,8 +208,6 @@ def parameter_lines(plant: Any) -> list[str]:
 
 
 # --- models -----------------------------------------------------------------------------------------------------------
-
-MODEL = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
 SHOWN_STATES = 12
 

@@ -99,25 +99,12 @@ class Operation:
         return self.function.__name__ if self.function else self.public.rpartition(".")[2]
 
     @cached_property
-    def _paragraphs(self) -> list[str]:
+    def paragraphs(self) -> list[str]:
+        """Return the help of the command: the first paragraph of a public function's docstring and ``text``."""
         if self.function:
             return inspect.cleandoc(self.function.__doc__ or "").split("\n\n")
         doc = ast.get_docstring(source_of(self.public)) or ""
         return [_plain(doc.partition("\n\n")[0]), *filter(None, self.text.split("\n\n"))]
-
-    @property
-    def title(self) -> str:
-        """Return the first paragraph of the docstring."""
-        return self._paragraphs[0]
-
-    @property
-    def more(self) -> str:
-        """Return its further paragraphs."""
-        return "\n\n".join(p for p in self._paragraphs[1:] if not p.startswith("Example: "))
-
-    @property
-    def example(self) -> str:
-        return next((p.removeprefix("Example: ") for p in self._paragraphs if p.startswith("Example: ")), "")
 
     @cached_property
     def _every(self) -> list[Parameter]:
@@ -139,7 +126,6 @@ class Operation:
 
     @property
     def result_classes(self) -> list[Any]:
-        """Return the possible classes of the result."""
         paths = [path.strip().rpartition(".") for path in self.result.split(",")]
         return [getattr(import_module(f"robustlab.{module}"), name) for module, _, name in paths]
 
@@ -150,7 +136,6 @@ class Operation:
         return {name: leaf for each in (*reversed(found), self.numbers) for name, leaf in each.items()}
 
     def made_of(self, result: Any) -> Any:
-        """Return the part of a result that is saved and passed to later steps."""
         return getattr(result, self.made) if self.made else result
 
     def hint(self, text: str, of_command: bool) -> str:
@@ -180,17 +165,14 @@ class Operation:
         return found if isinstance(found, InLoop) else InLoop(found)
 
 
-# Arguments of reading a file -> options of commands.
-READING = {
-    **{name: f"--{name.replace('_', '-')}" for name in ("transpose", "group", "clock", "dt", "decimal", "delimiter")},
-    **{name: f"--{name.replace('_', '-')}" for name in ("allow_gaps", "no_verify", "inputs", "outputs")},
-    "units": "--unit",
-}
+# Arguments of reading a file, which every command has as options.
+READING = ("transpose", "group", "clock", "dt", "decimal", "delimiter", "allow_gaps", "no_verify", "inputs", "outputs")
 
 
 def reading_option(name: str, value: str) -> str | None:
-    """Return an argument of reading a file as the option that every command has for it; None of another."""
-    return as_option(READING[name], value) if name in READING else None
+    """Return an argument of reading a file as an option; None of another."""
+    option = "--unit" if name == "units" else f"--{name.replace('_', '-')}" if name in READING else ""
+    return as_option(option, value) if option else None
 
 
 def as_option(option: str, value: str) -> str:
@@ -258,7 +240,6 @@ def source_of(path: str) -> ast.FunctionDef:
 
 
 def _signature(path: str) -> Iterator[tuple[str, str, ast.expr | None]]:
-    """Yield the name, type and default of each parameter."""
     given = source_of(path).args
     needed: list[Any] = [None] * (len(given.args) - len(given.defaults))
     defaults = [*needed, *given.defaults, *given.kw_defaults]
@@ -346,12 +327,10 @@ def _marks(hint: Any) -> list[Any]:
 
 
 def load_family(family: str) -> None:
-    """Import a module of operations."""
     import_module(f"robustlab.operations.{family}")
 
 
 def every_operation() -> list[Operation]:
-    """Return all operations, each once."""
     for family in ALL:
         load_family(family)
     return list(dict.fromkeys([*COMMANDS.values(), *STEPS.values()]))

@@ -10,24 +10,11 @@ from typing import Annotated, Any, Literal
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import InLoop, operation, public
-from robustlab.operations.kinds import (
-    ByNumber,
-    Choice,
-    Keyed,
-    Names,
-    Number,
-    Numbers,
-    Sizes,
-    Table,
-    Thing,
-    Weight,
-    Whole,
-)
-from robustlab.operations.words import Controller, Design, Model, Moved, SampleTime, Search, Seed, Sign, Signals, System
+from robustlab.operations.kinds import Choice, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
+from robustlab.operations.words import Channel, Controller, Design, Model, Moved, Search, Seed, Sign, Signals, System
 
 DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
-Channel = Annotated[Any, ByNumber()]
 Controllers = Annotated[Any, Thing(("controller", "any"), named=True), "Steps that give controllers."]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
 Controls = Annotated[Channel, "Control inputs by name, or how many of the last; a tracking problem knows its own."]
@@ -79,13 +66,13 @@ Structure = Annotated[
 CONTROLLER: Any = {"gives": "controller", "made": "controller"}
 
 
-def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
-    """Return a design, with the loop of a tracking problem against its weights where that is drawn."""
+def _design(found: Any, system: Any, proved: bool = True) -> InLoop:
+    """Return a design, of a tracking problem with its loop against the weights."""
     from robustlab.synthesis.specifications.tracking import TrackingLoop, TrackingProblem
 
-    if not drawn or not isinstance(system, TrackingProblem):
-        return found
-    return InLoop(found, "", (), {"functions": TrackingLoop(system, found, found.gamma if proved else None)})
+    if not isinstance(system, TrackingProblem):
+        return InLoop(found)
+    return InLoop(found, beside={"functions": TrackingLoop(system, found, found.gamma if proved else None)})
 
 
 # --- generalised plants -----------------------------------------------------------------------------------------------
@@ -94,29 +81,25 @@ def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = F
 @operation(
     "synth hinf", "hinf", result=DESIGN + "HinfSynthesis", public="analysis.designs.hinf", kinds=GAMMA_REL, **CONTROLLER
 )
-def hinf(
-    system: Plant, *, channels: Channels, nominal: NominalProblem = None, drawn: bool = False, **options: Any
-) -> Any:
+def hinf(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
     Exit code 4: no controller could be verified.
 
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
-    return _design(rl.hinf(channels.posed(system, "hinf", nominal), **options), system, drawn=drawn)
+    return _design(rl.hinf(channels.posed(system, "hinf", nominal), **options), system)
 
 
 @operation("synth h2", "h2", result="synthesis.h2.H2Synthesis", public="synthesis.h2.h2", **CONTROLLER)
-def h2(
-    system: Plant, *, channels: Channels, nominal: NominalProblem = None, drawn: bool = False, **options: Any
-) -> Any:
+def h2(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
 
     Exit code 4: no controller could be verified, or no finite H2 norm exists.
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
-    return _design(rl.h2(channels.posed(system, "h2", nominal), **options), system, drawn=drawn)
+    return _design(rl.h2(channels.posed(system, "h2", nominal), **options), system)
 
 
 @operation(
@@ -128,7 +111,6 @@ def dk(
     *,
     channels: Channels,
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
-    drawn: bool = False,
     **options: Any,
 ) -> Any:
     """Robust controller u = K y (positive feedback): makes the peak of mu small, over K and scalings together.
@@ -138,8 +120,7 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    found = rl.dk(channels.posed(system, "dk"), K0=start, **options)
-    return _design(found, system, proved=False, drawn=drawn)
+    return _design(rl.dk(channels.posed(system, "dk"), K0=start, **options), system, proved=False)
 
 
 @operation(
@@ -153,7 +134,6 @@ def fixed_structure(
     channels: Channels,
     nominal: Nominal = False,
     starts: Annotated[int, Whole(0, 1000), "Number of random starts."] = 3,
-    drawn: bool = False,
     **options: Any,
 ) -> Any:
     """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
@@ -164,7 +144,7 @@ def fixed_structure(
     Example: robustlab synth fixed plant.h5 --structure order:2 --measurements 1 --controls 1 --out controller.h5
     """
     found = rl.fixed_structure(channels.posed(system, "fixed", nominal), structure, starts=starts, **options)
-    return _design(found, system, nominal, drawn)
+    return _design(found, system, nominal)
 
 
 # --- plain models -----------------------------------------------------------------------------------------------------
@@ -270,7 +250,7 @@ def _inferred_loop(step: Any, ahead: Any) -> Any:
 @operation("model discretise", result="statespace.StateSpaceModel", gives="model")
 def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file."],
-    dt: SampleTime,
+    dt: Annotated[float, Number(above=0), "Sample time in s."],
     method: Annotated[Literal["tustin", "zoh", "foh"], "The formula."] = "tustin",
 ) -> Any:
     """A discrete model of a continuous one, by formula.

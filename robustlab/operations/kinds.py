@@ -52,9 +52,7 @@ class Kind:
 
     def field(self) -> Any:
         """Return the type of a recipe's key."""
-        from robustlab.operations.vocabulary import Text
-
-        return Text
+        return bounded(str, max_length=2000)
 
     def of_field(self, given: Any) -> Any:
         """Return the value of a recipe's key."""
@@ -215,10 +213,8 @@ class Names(Kind):
         return [name for text in (given if self.repeated else [given]) for name in comma_separated(text)]
 
     def field(self) -> Any:
-        from robustlab.operations import vocabulary
-
-        taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
-        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+        taken: Any = super().field() if self.one else list[super().field()]
+        return Annotated[taken, self] if self.side else taken
 
 
 @dataclass(frozen=True)
@@ -231,9 +227,7 @@ class ByNumber(Kind):
         return None if given is None else int(given) if given.isdecimal() else comma_separated(given)
 
     def field(self) -> Any:
-        from robustlab.operations.vocabulary import Text
-
-        return bounded(int, ge=1) | bounded(list[Text], min_length=1, max_length=100)
+        return bounded(int, ge=1) | bounded(list[super().field()], min_length=1, max_length=100)
 
 
 @dataclass(frozen=True)
@@ -298,10 +292,8 @@ class Table(Kind):
         return found or None
 
     def field(self) -> Any:
-        from robustlab.operations import vocabulary
-
         taken = dict[str, self.value.field()]
-        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+        return Annotated[taken, self] if self.side else taken
 
     def of_field(self, given: Any) -> Any:
         return {name: self.value.of_field(value) for name, value in given.items()} if given else None
@@ -348,8 +340,6 @@ class Weight(Kind):
         from pydantic import AfterValidator
         from pydantic_core import PydanticCustomError
 
-        from robustlab.operations.vocabulary import Positive
-
         def check(given: dict[str, float]) -> dict[str, float]:
             try:
                 self.made("weight", given)
@@ -357,7 +347,7 @@ class Weight(Kind):
                 raise PydanticCustomError("weight", "{fault}", {"fault": str(error)}) from None
             return given
 
-        return Positive | Annotated[dict[str, float], AfterValidator(check)]
+        return bounded(float, gt=0) | Annotated[dict[str, float], AfterValidator(check)]
 
     def of_field(self, given: Any) -> Any:
         return self.made("weight", given) if isinstance(given, dict) else given
@@ -377,9 +367,7 @@ class Sizes(Kind):
     """A positive number for all signals, or one for each by its name; of a recipe alone."""
 
     def field(self) -> Any:
-        from robustlab.operations.vocabulary import Positive
-
-        return Positive | dict[str, Positive]
+        return bounded(float, gt=0) | dict[str, bounded(float, gt=0)]
 
 
 class Pair(NamedTuple):
@@ -414,11 +402,17 @@ class Thing(Kind):
 
     def field(self) -> Any:
         """Return the type of a reference to an earlier step."""
-        from robustlab.operations.vocabulary import RefersTo
-
-        name = Annotated[str, RefersTo(self.gives)]
+        name = Annotated[str, self]
         taken: Any = list[name] if self.many or self.named else name
         return float | taken if self.number else taken
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """Return the schema of a reference with a description, which a field's own replaces."""
+        kinds = " or ".join(", ".join(k for k in self.gives if k != "any").rsplit(", ", 1))
+        return {
+            "description": f"Name of an earlier step{f' that gives: {kinds}' if kinds else ''}.",
+            **handler(core_schema),
+        }
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:
         """Return the object of a file, a `Pair` of two models, or a plant by its name; pass warnings to ``remark``."""

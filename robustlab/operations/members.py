@@ -137,14 +137,27 @@ def show(uncertain: Uncertain) -> Any:
     return InLoop(uncertain, beside={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
 
 
-@operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
+class Vertices(Kind):
+    """A number of vertices; in a command also ``all``."""
+
+    def read(self, option: str, given: Any) -> Any:
+        if given != "all" and not given.isdecimal():
+            raise UsageError(option, given, "a whole number, or all")
+        return given if given == "all" else int(given)
+
+    def field(self) -> Any:
+        return Whole().field()
+
+
+@operation("uncertain sample", "sample", result="worst_case_analysis.sampling.Responses")
 def sample(
     uncertain: Uncertain,
     *,
     n: Annotated[int, Whole(0, 1_000_000, option="-n,--samples"), "Number of random samples."] = 20,
     seed: Seed = 0,
-    vertices: Annotated[str, "Vertices to add: a number, or all."] = "0",
+    vertices: Annotated[Any, Vertices(), "Vertices to add: a number, or all."] = 0,
     drive: Excitation,
+    outputs: Annotated[list[str] | None, Names("outputs", only="step"), "All where left out."] = None,
 ) -> Any:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
 
@@ -152,12 +165,10 @@ def sample(
     """
     from robustlab.dynamics.simulation import default_clock
 
-    if vertices != "all" and not vertices.isdecimal():
-        raise UsageError("--vertices", vertices, "a whole number, or all")
     driven = drive.of(uncertain)
     if driven["t"] is None:
         driven["t"] = default_clock(uncertain.nominal, "uncertain sample")
-    members = rl.sample(uncertain, n, seed, "all" if vertices == "all" else int(vertices))
+    members = rl.sample(uncertain.select(None, outputs) if outputs else uncertain, n, seed, vertices)
     return InLoop(members.respond(**driven), beside={"seed": seed, "vertices": members.vertices})
 
 

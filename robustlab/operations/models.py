@@ -112,7 +112,6 @@ def _place(at: Any, pose: Any) -> dict[str, str]:
 
 
 def left_out(missing: Any) -> tuple[str, ...]:
-    """Return a line for each effect that is not in a model."""
     return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
 
 from robustlab.errors import InputError
+from robustlab.operations.kinds import Thing
 from robustlab.units import share
 
 
@@ -18,42 +18,16 @@ class Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
 
 
-@dataclass(frozen=True)
-class RefersTo:
-    """Mark a field that names an earlier step, with the kinds that this must give; see `robustlab.recipe.load`."""
-
-    gives: tuple[str, ...]
-
-    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
-        """Return the schema of a text with a description, which a field's own replaces."""
-        *first, last = [kind for kind in self.gives if kind != "any"] or [""]
-        kinds = f"{', '.join(first)} or {last}" if first else last
-        return {
-            "description": f"Name of an earlier step{f' that gives: {kinds}' if kinds else ''}.",
-            **handler(core_schema),
-        }
-
-
-@dataclass(frozen=True)
-class Names:
-    """Mark a field whose texts (or keys) name signals or parameters of another step; see `robustlab.recipe.check`."""
-
-    side: Literal["inputs", "outputs", "signals", "parameters"]
-    of: str = "of"  # key of this step that names the other step
-
-
 # "any": the object of a loaded file is known only at run time.
-ToModel = Annotated[str, RefersTo(("plant", "model", "uncertain", "any"))]
-ToUncertain = Annotated[str, RefersTo(("uncertain", "any"))]
-ToSaved = Annotated[str, RefersTo(("saved",))]
-ToAnything = Annotated[str, RefersTo(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
+ToModel = Annotated[str, Thing(("plant", "model", "uncertain", "any"))]
+ToSaved = Annotated[str, Thing(("saved",))]
+ToAnything = Annotated[str, Thing(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
 
 StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
 FileName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
 Text = Annotated[str, Field(max_length=2000)]
 Positive = Annotated[float, Field(gt=0)]
 Count = Annotated[int, Field(ge=0, le=1_000_000)]
-Points = Annotated[int, Field(ge=2, le=100_000)]
 
 
 def _number_or_pair(value: Any, handler: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.operations.kinds import Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
+from robustlab.operations.kinds import ByNumber, Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
@@ -29,7 +29,7 @@ Seed = Annotated[int, Whole(0, 2**63 - 1), "Seed of the random numbers; same see
 Frequency = Annotated[list[float] | None, Numbers("rad/s"), "At these frequencies only, rad/s: 1,10; or 2Hz."]
 Inputs = Annotated[list[str] | None, Names("inputs"), "Inputs to keep; all if left out."]
 Outputs = Annotated[list[str] | None, Names("outputs"), "Outputs to keep; all if left out."]
-SampleTime = Annotated[float, Number(above=0), "Sample time in s."]
+Channel = Annotated[Any, ByNumber()]
 
 
 # Parameters of public functions that every operation passes on.
@@ -52,7 +52,6 @@ class Signals:
     outputs: Outputs = None
 
     def of(self, system: Any) -> Any:
-        """Return the system between these."""
         if self.inputs is None and self.outputs is None:
             return system
         if hasattr(system, "select"):

@@ -12,7 +12,7 @@ from pathlib import Path
 import robustlab as rl
 from robustlab.errors import InputError, RobustlabError, UsageError, rewritten, unknown_name
 from robustlab.operations.declaration import STEPS, in_toml
-from robustlab.operations.vocabulary import Names
+from robustlab.operations.kinds import Names, Table
 from robustlab.recipe.load import MAX_FAULTS_SHOWN, LoadedRecipe, find_file, marked, references
 from robustlab.recipe.schema import Requirement
 from robustlab.recipe.steps.contract import Ahead, Inferred, Step, look_ahead
@@ -107,7 +107,7 @@ def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
 def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
     """Return a fault for each name that is no signal or parameter of the step referred to."""
     found: list[InputError] = []
-    for key, mark in marked(step, Names):
+    for key, mark in marked(step, (Names, Table)):
         target, given = getattr(step, mark.of), getattr(step, key)
         known = _known(ahead[target], mark.side) if isinstance(target, str) else None
         if known is None or not given:

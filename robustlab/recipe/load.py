@@ -9,20 +9,17 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
 from robustlab.errors import InputError, UsageError, did_you_mean
 from robustlab.files.signature import parse_document
-from robustlab.operations.vocabulary import RefersTo
+from robustlab.operations.kinds import Thing
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes
 from robustlab.recipe.steps.contract import KINDS, Step
-from robustlab.recipe.steps.models import LoadStep, PlantStep
-from robustlab.recipe.steps.records import RecordStep
 
-Mark = TypeVar("Mark")
 MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 
@@ -45,7 +42,6 @@ class LoadedRecipe:
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
-    """Read and check a recipe file."""
     file = Path(path)
     if file.suffix.lower() in _REFUSED:
         raise InputError(str(path), f"a {file.suffix} file: {_REFUSED[file.suffix.lower()]}", "a .toml recipe")
@@ -137,7 +133,6 @@ def _known_keys(loc: tuple[Any, ...]) -> list[str]:
 
 
 def _reference_faults(recipe: Recipe) -> list[str]:
-    """Return the faults of references: steps refer to earlier steps that give what they need, requirements to any."""
     faults: list[str] = []
     earlier: dict[str, Step] = {}
     for name, step in recipe.step.items():
@@ -169,7 +164,7 @@ def _reference_faults(recipe: Recipe) -> list[str]:
 def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return each reference of a step: its key, the step it names, and what that step must give."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
-    for name, mark in marked(step, RefersTo):
+    for name, mark in marked(step, Thing):
         target = getattr(step, name)
         if isinstance(target, list):
             found += [(f"{name}.{i}", item, mark.gives) for i, item in enumerate(target)]
@@ -178,9 +173,9 @@ def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     return found
 
 
-def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
+def marked(step: Step, kind: Any) -> list[tuple[str, Any]]:
     """Return the fields of a step that have a mark of this kind, each with its first one."""
-    found: list[tuple[str, Mark]] = []
+    found: list[tuple[str, Any]] = []
     for name, field in type(step).model_fields.items():
         # An optional field keeps its mark inside the union, a list of references inside the list.
         marks = [m for m in (*field.metadata, *_metadata(field.annotation)) if isinstance(m, kind)]
@@ -246,16 +241,14 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
     in the working directory first. Models and Python files of plants must be in the recipe's folder or the folder above
     it, unless given with ``--set``.
     """
-    key, given = _named_file(step)
+    key, given = step.reads
     if given is None:
         return None
     typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
-    measured = isinstance(step, RecordStep)
-    about = step.about if measured else ""
-    path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
+    path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, getattr(step, "about", ""))
     folder = loaded.path.parent
     roots = [folder, folder.parent] if folder.parent.parent != folder.parent else [folder]  # never the whole disk
-    if measured or typed or any(path.is_relative_to(root) for root in roots):
+    if step.gives == "record" or typed or any(path.is_relative_to(root) for root in roots):
         return path
     raise InputError(
         loaded.path.name,
@@ -263,18 +256,6 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
         f"a file in {' or '.join(map(str, roots))}",
         f"to read it all the same, type --set {name}.{key}={given}",
     )
-
-
-def _named_file(step: Step) -> tuple[str, str | None]:
-    """Return the key of the step that names a file, and the file or None."""
-    if isinstance(step, PlantStep):
-        from robustlab.dynamics.plant_file import plant_reference, unit_reference
-
-        if unit_reference(step.plant):
-            return "plant", step.plant
-        parts = plant_reference(step.plant)
-        return "plant", parts and parts[0]
-    return "path", step.path if isinstance(step, (LoadStep, RecordStep)) else None
 
 
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:

@@ -115,7 +115,6 @@ def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a recipe."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **recipe_model().model_json_schema(by_alias=True),
@@ -134,7 +133,6 @@ class Judgement:
     free_run: Mapping[str, Any] | None = None  # of a number in windows: the same in free run, `value` and `met`
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain types."""
         return {
             **{name: getattr(self.requirement, name) for name in ("text", "that", "condition", "limits", "unit")},
             **{name: getattr(self, name) for name in ("value", "met", "why_not", "free_run")},

@@ -20,12 +20,10 @@ def shipped_folder() -> Path:
 
 
 def shipped_recipes() -> list[str]:
-    """Return the names of the shipped recipes."""
     return sorted(path.stem for path in shipped_folder().glob("*.toml"))
 
 
 def shipped_titles() -> dict[str, str]:
-    """Return name -> title of the shipped recipes."""
     import tomllib
 
     files = {name: shipped_folder() / f"{name}.toml" for name in shipped_recipes()}

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # Value of ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")
-Wanted = TypeVar("Wanted")
 
 
 @dataclass(frozen=True)
@@ -87,8 +86,12 @@ class Step(Strict):
 
     @property
     def kind(self) -> str:
-        """Return the value of ``do``."""
         return str(vars(self)["do"])
+
+    @property
+    def reads(self) -> tuple[str, str | None]:
+        """Return the key that names a file, and the file or None."""
+        return "path", getattr(self, "path", None)
 
     def infer(self, ahead: Ahead) -> Inferred:
         """Infer cheaply what the step will give, before anything runs."""
@@ -158,16 +161,7 @@ class Workspace:
     png: bool = False  # draw figures as PNG, too
     drawn: frozenset[str] | None = None  # names of the steps whose figures are drawn; None: of all
 
-    def wanted(self, name: str, kind: type[Wanted]) -> Wanted:
-        """Return the object of an earlier step; a loaded file may hold something else."""
-        value = self.values[name]
-        if not isinstance(value, kind):
-            words = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
-            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", words)
-        return value
-
     def provenance(self) -> Provenance:
-        """Return the provenance of the current step's result."""
         from robustlab.provenance import Provenance
 
         return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)

@@ -32,18 +32,15 @@ BASES: dict[str, type[OperationStep]] = {}
 class Quantities:
     """The names that requirements may refer to, from the result's class, imported on access."""
 
-    def __init__(self, declared: Operation) -> None:
-        self.declared = declared
-
     def __get__(self, instance: Any, owner: Any) -> Any:
-        """Return the pattern of the class."""
-        return self.declared.quantities
+        return owner.declared.quantities
 
 
 class OperationStep(Step):
     """A step that is an operation: one function, one result."""
 
     declared: ClassVar[Operation]
+    leaves: ClassVar[Any] = Quantities()
 
     def infer(self, ahead: Ahead) -> Inferred:
         """Infer the names for requirements and the signals for later steps; check that a record fits its model."""
@@ -78,7 +75,6 @@ class OperationStep(Step):
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
-        """Call the function."""
         try:
             found = self.declared(**self._values(work))
         except UsageError as error:  # the recipe is wrong, not a command
@@ -114,7 +110,7 @@ class OperationStep(Step):
             work.simulated.add(work.step)
         first = _first(self.declared)
         of = (getattr(self, first) if first else None) or ""
-        what = result.headline() or self.declared.title.rstrip(".")
+        what = result.headline() or self.declared.paragraphs[0].rstrip(".")
         summary = f"{of if isinstance(of, str) else ', '.join(of)}: {what}.".removeprefix(": ")
         value = self.declared.made_of(result) if self.gives != "nothing" else None
         simulated = [f"Record {name} is simulated, not measured." for name in self._records() if name in work.simulated]
@@ -141,14 +137,12 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
 
 
 def add_steps() -> None:
-    """Register the steps that the modules of operations declare."""
     every_operation()
     for word, declared in STEPS.items():
         step(step_of(word, declared))
 
 
 def step_of(word: str, declared: Operation) -> type[OperationStep]:
-    """Return the class of the steps of an operation."""
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
         if p.kind.only == "command":
@@ -163,10 +157,9 @@ def step_of(word: str, declared: Operation) -> type[OperationStep]:
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
     name = "".join(part.capitalize() for part in word.split("-")) + "Step"
-    more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
-    doc = "\n\n".join(filter(None, (declared.title, *more)))
+    doc = "\n\n".join(part for part in declared.paragraphs if not part.startswith(("Exit code", "Example: ")))
     made: Any = create_model(name, __base__=BASES.get(word, OperationStep), __doc__=doc, **keys)
-    made.gives, made.leaves, made.declared = declared.gives, Quantities(declared), declared
+    made.gives, made.declared = declared.gives, declared
     return made
 
 

@@ -43,6 +43,13 @@ class PlantStep(Step):
         pairs = {name: tuple(value) if isinstance(value, list) else value for name, value in self.parameters.items()}
         return pairs | self.choices
 
+    @property
+    def reads(self) -> tuple[str, str | None]:
+        from robustlab.dynamics.plant_file import plant_reference, unit_reference
+
+        parts = plant_reference(self.plant)
+        return "plant", self.plant if unit_reference(self.plant) else parts and parts[0]
+
     def infer(self, ahead: Ahead) -> Inferred:
         parameter: dict[str, Any] = {"value": float, "unit": str, "tolerance": "1"}
         if ahead.step in ahead.sources:  # a user's code runs only with the recipe

@@ -2,45 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any
 
 from pydantic import Field
 
-import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber, unknown_name
-from robustlab.operations.vocabulary import Count, Names, Points, Positive, ReferenceLine, ToUncertain
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, quantity, step
+from robustlab.operations.declaration import InLoop
+from robustlab.operations.vocabulary import ReferenceLine
+from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Workspace, quantity
+from robustlab.recipe.steps.generated import BASES, OperationStep
 
 
-@step
-class SampleStep(Step):
-    """Responses of random members of an uncertain model and of vertices of Delta, with their envelope.
+class SampleStep(OperationStep):
+    """Responses of members: the numbers of each output, compared with known values."""
 
-    Inputs: a step of `input` at t = 0, plus a `sine` of `frequency`, until `t_end`.
-    """
-
-    do: Literal["sample"]
-    of: ToUncertain
-    input: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the step on each input.")
-    sine: Annotated[dict[str, float], Names("inputs")] = Field({}, description="Amplitude of the sine on each input.")
-    frequency: Positive | None = Field(None, description="Frequency of the sine in Hz.")
-    t_end: Positive
-    points: Points = 401
-    seed: Annotated[int, Field(ge=0)] | None = Field(None, description="The recipe's seed where left out.")
-    n: Count = 20
-    vertices: Count = 0
     reference: list[ReferenceLine] = Field([])
-    outputs: Annotated[list[str], Field(min_length=1), Names("outputs")] | None = Field(
-        None, description="All where left out."
-    )
     percent: float | None = Field(
         None, gt=0, description="Draw the members' deviation in percent too, with this published band (+-)."
     )
 
     def infer(self, ahead: Ahead) -> Inferred:
-        outputs = ahead[self.of].select(self.outputs).outputs
+        given = vars(self)
+        outputs = ahead[given["of"]].select(given["outputs"]).outputs
         if outputs is None:
-            outputs = dict.fromkeys(self.outputs or ["*"], float)
+            outputs = dict.fromkeys(given["outputs"] or ["*"], float)
         else:
             self._check_references(list(outputs))
         left = {
@@ -52,30 +37,25 @@ class SampleStep(Step):
         }  # fmt: skip
         return Inferred(leaves={"outputs": left, "members": "1", "unstable": "1"})
 
-    def run(self, work: Workspace) -> Outcome:
-        from robustlab.operations.members import Excitation
-
-        model = work.wanted(self.of, rl.UncertainModel)
-        if self.outputs:
-            model = model.select(None, self.outputs)
-        drive = Excitation(self.input, self.sine, self.frequency, self.t_end, self.points).of(model)
-        seed = work.seed if self.seed is None else self.seed
-        responses = rl.sample(model, self.n, seed, vertices=self.vertices).respond(**drive)
+    def outcome(self, found: InLoop, work: Workspace) -> Outcome:
+        given, responses = vars(self), found.result
         if not responses.status.trustworthy:
-            raise NoTrustworthyNumber(f"sample {self.of}", "responses outgrow every number", hint="a smaller t_end")
+            raise NoTrustworthyNumber(f"sample {given['of']}", "responses outgrow every number", hint="a smaller t_end")
         numbers: dict[str, Any] = {}
         facts: list[Fact] = []
         for k, (name, _) in enumerate(responses.outputs):
-            numbers[name], found = self._output(work, responses, k)
-            facts += found
+            numbers[name], of_output = self._output(work, responses, k)
+            facts += of_output
         if self.percent is not None:
             facts.append(self._percent_bands(work, responses, numbers, self.percent))
         count, unstable = len(responses.y), len(responses.unstable)
-        summary = f"{count} members of {self.of} simulated ({self.n} random, seed {seed}; the rest vertices of Δ)."
+        drawn = f"{given['n']} random, seed {found.beside['seed']}; the rest vertices of Δ"
         notes = (f"{unstable} of these {count} members are unstable.",) if unstable else ()
         notes += ("Sampled, not proved: members that were not drawn may lie outside this envelope.",)
         numbers = {"outputs": numbers, "members": count, "unstable": unstable}
-        return Outcome(None, summary, numbers, tuple(facts), notes=notes)
+        return Outcome(
+            None, f"{count} members of {given['of']} simulated ({drawn}).", numbers, tuple(facts), notes=notes
+        )
 
     def _check_references(self, known: list[str]) -> None:
         for name in (line.output for line in self.reference):
@@ -99,7 +79,7 @@ class SampleStep(Step):
             figure = response_figure(
                 responses.t, y, nominal, (lower, upper), output=(name, unit), references=references
             )
-            members = f"{self.n} random members and {self.vertices} vertices of Δ"
+            members = "{n} random members and {vertices} vertices of Δ".format(**vars(self))
             work.draw(figure, name, f"{name} after {self._amplitudes(responses.inputs)}: {members}.")
         deviation = float(abs(y - nominal).max(initial=0.0))
         numbers = {"final": final, "peak_deviation": deviation, "covers": covers, "worst_member": responses.worst[k]}
@@ -121,10 +101,13 @@ class SampleStep(Step):
         return Fact("Largest change of a member", f"{found}; published ±{published:g} %")
 
     def _amplitudes(self, inputs: Any) -> str:
-        units = dict(inputs)
-        sine = f"a sine of {self.frequency:g} Hz" if self.frequency else ""
+        units, own = dict(inputs), vars(self)
+        sine = f"a sine of {own['frequency']:g} Hz" if own["frequency"] else ""
         return " and ".join(
             f"{what} of {', '.join(f'{quantity(value, units[name])} on {name}' for name, value in given.items())}"
-            for given, what in ((self.input, "a step"), (self.sine, sine))
+            for given, what in ((own["input"], "a step"), (own["sine"], sine))
             if given
         )
+
+
+BASES["sample"] = SampleStep
