@@ -23,8 +23,18 @@ from robustlab.errors import (
     UsageError,
 )
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing, comma_separated
-from robustlab.operations.reading import runs_code
+from robustlab.operations.kinds import (
+    Choice,
+    Feedback,
+    Flag,
+    Kind,
+    RecordFile,
+    Table,
+    TextFile,
+    Thing,
+    comma_separated,
+    runs_code,
+)
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]

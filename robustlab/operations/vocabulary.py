@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema, WrapValidator
+from pydantic import BaseModel, ConfigDict, Field, WrapValidator
 from pydantic_core import PydanticCustomError, ValidationError
 
-from robustlab.errors import InputError
 from robustlab.operations.kinds import Thing
-from robustlab.units import share
 
 
 class Strict(BaseModel):
@@ -43,33 +41,6 @@ NumberOrPair = Annotated[
     float | NumberText | Annotated[list[float | NumberText], Field(min_length=2, max_length=2)],
     WrapValidator(_number_or_pair),
 ]
-
-
-def _share(value: Any, handler: Any) -> Any:
-    try:
-        number = share("", value)
-    except InputError as error:
-        raise PydanticCustomError("share", "expected {expected}", {"expected": error.expected}) from None
-    try:
-        return handler(number)
-    except ValidationError as error:
-        if isinstance(number, (int, float)) and error.errors()[0]["type"] == "less_than":
-            meant = f"{number:g}% = {number / 100:g}"
-            text = "a share of the value should be less than 1; did you mean {meant}?"
-            raise PydanticCustomError("share", text, {"meant": meant}) from None
-        raise
-
-
-def _share_schema(less_than_one: bool) -> WithJsonSchema:
-    number: dict[str, Any] = {"type": "number", "exclusiveMinimum": 0}
-    if less_than_one:
-        number["exclusiveMaximum"] = 1
-    return WithJsonSchema({"anyOf": [number, {"type": "string", "pattern": "%$"}]})
-
-
-# Tolerances of parameters, 0.05 or "5%"; that of a prior may be larger than the value itself.
-RelativeTolerance = Annotated[float, Field(gt=0, lt=1), WrapValidator(_share), _share_schema(True)]
-PriorTolerance = Annotated[float, Field(gt=0), WrapValidator(_share), _share_schema(False)]
 
 
 class ReferenceLine(Strict):

@@ -25,9 +25,6 @@ from robustlab.recipe.steps.contract import (
 from robustlab.record import Record
 from robustlab.signals import Signal
 
-# Kind of step -> its base, where a step does more than call the function.
-BASES: dict[str, type[OperationStep]] = {}
-
 
 class Quantities:
     """The names that requirements may refer to, from the result's class, imported on access."""
@@ -136,13 +133,14 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
     return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
-def add_steps() -> None:
+def add_steps(bases: Mapping[str, type[OperationStep]]) -> None:
+    """Register the steps of operations; ``bases``: kind of step -> its base, where it does more than the operation."""
     every_operation()
     for word, declared in STEPS.items():
-        step(step_of(word, declared))
+        step(_step_of(word, declared, bases.get(word, OperationStep)))
 
 
-def step_of(word: str, declared: Operation) -> type[OperationStep]:
+def _step_of(word: str, declared: Operation, base: type[OperationStep]) -> type[OperationStep]:
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
         if p.kind.only == "command":
@@ -158,7 +156,7 @@ def step_of(word: str, declared: Operation) -> type[OperationStep]:
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
     name = "".join(part.capitalize() for part in word.split("-")) + "Step"
     doc = "\n\n".join(part for part in declared.paragraphs if not part.startswith(("Exit code", "Example: ")))
-    made: Any = create_model(name, __base__=BASES.get(word, OperationStep), __doc__=doc, **keys)
+    made: Any = create_model(name, __base__=base, __doc__=doc, **keys)
     made.gives, made.declared = declared.gives, declared
     return made
 
