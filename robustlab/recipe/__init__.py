@@ -9,6 +9,6 @@ __all__, __getattr__ = lazily(
         "run": "read_result run_recipe write_report",
         "schema": "Recipe Requirement json_schema judge look_up",
         "check": "look_through",
-        "steps.contract": "Fact KINDS look_ahead Outcome Step Workspace step",
+        "steps.contract": "Fact KINDS look_ahead Outcome Positive Step ToModel Workspace step",
     },
 )

@@ -12,9 +12,9 @@ from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.errors import InputError
-from robustlab.operations.vocabulary import StepName, Strict, Text
-from robustlab.recipe.steps.contract import KINDS, Step, nothing_there
+from robustlab.recipe.steps.contract import KINDS, Step, Strict, Text, nothing_there
 
+StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 
 

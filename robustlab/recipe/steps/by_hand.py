@@ -6,24 +6,43 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
-from pydantic_core import PydanticCustomError
+from pydantic import Field, WrapValidator, model_validator
+from pydantic_core import PydanticCustomError, ValidationError
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber, unknown_name
 from robustlab.operations.declaration import InLoop
-from robustlab.operations.vocabulary import (
-    Count,
-    FileName,
-    NumberOrPair,
+from robustlab.operations.kinds import Thing
+from robustlab.recipe.steps.contract import (
+    Ahead,
+    Fact,
+    Inferred,
+    Outcome,
     Positive,
-    ReferenceLine,
+    Step,
+    Strict,
     Text,
-    ToAnything,
-    ToSaved,
+    Workspace,
+    facts_of,
+    quantity,
+    step,
 )
-from robustlab.recipe.steps.contract import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, quantity, step
 from robustlab.recipe.steps.generated import OperationStep
+
+
+def _number_or_pair(value: Any, handler: Any) -> Any:
+    try:
+        return handler(value)
+    except ValidationError:
+        raise PydanticCustomError("number_or_pair", "expected a number, or [number, relative tolerance]") from None
+
+
+# A number with a unit or a per cent sign, which the plant reads.
+NumberText = Annotated[str, Field(pattern=r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", max_length=100)]
+NumberOrPair = Annotated[
+    float | NumberText | Annotated[list[float | NumberText], Field(min_length=2, max_length=2)],
+    WrapValidator(_number_or_pair),
+]
 
 
 @step
@@ -103,7 +122,7 @@ class LoadStep(Step):
     leaves: ClassVar[Any] = {"kind": str, "verified": bool, **rl.StateSpaceModel.quantities}
     do: Literal["load"]
     path: Text | None = None
-    saved: ToSaved | None = None
+    saved: Annotated[str, Thing(("saved",))] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -141,8 +160,8 @@ class SaveStep(Step):
     gives: ClassVar[str] = "saved"
     leaves: ClassVar[Any] = {"sha256": str}
     do: Literal["save"]
-    of: ToAnything
-    file: FileName
+    of: Annotated[str, Thing(("plant", "model", "uncertain", "problem", "controller", "record", "any"))]
+    file: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*\.h5$", max_length=100)]
 
     def infer(self, ahead: Ahead) -> Inferred:
         return ahead[self.of].select(None)
@@ -264,6 +283,14 @@ class Comparing(OperationStep):
 
     def in_free_run(self, path: str) -> str | None:
         return path.replace(".windowed_", ".") if ".outputs." in path and ".windowed_" in path else None
+
+
+class ReferenceLine(Strict):
+    """A known value to draw with a response."""
+
+    output: str
+    value: float
+    text: Text
 
 
 class SampleStep(OperationStep):
@@ -432,7 +459,9 @@ class ThesisCaseStep(Step):
     do: Literal["thesis-case"]
     case: Literal["1", "2a", "2b", "2c"]
     structure: Literal["elements", "columns", "rows", "matrices", "single"] = "single"
-    n: Count = Field(0, description="Random members in the picture with nominal and worst Δ; no picture where 0.")
+    n: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
+        0, description="Random members in the picture with nominal and worst Δ; no picture where 0."
+    )
 
     def run(self, work: Workspace) -> Outcome:
         from robustlab.dynamics.stewart.stewart_platform import stewart_platform

@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_args
 
-from pydantic import ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 import robustlab as rl
 from robustlab.display import Each
 from robustlab.errors import InputError, did_you_mean
-from robustlab.operations.vocabulary import Strict, Text
+from robustlab.operations.kinds import Thing
 from robustlab.result import Evidence
 
 if TYPE_CHECKING:
@@ -27,6 +27,17 @@ if TYPE_CHECKING:
 # Value of ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")
+
+# "any": the object of a loaded file is known only at run time.
+ToModel = Annotated[str, Thing(("plant", "model", "uncertain", "any"))]
+Text = Annotated[str, Field(max_length=2000)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Strict(BaseModel):
+    """Reject unknown keys, silent conversion (TOML has types), NaN and infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
 
 
 @dataclass(frozen=True)
