@@ -160,8 +160,7 @@ def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOp
 
     Example: robustlab recipe check first-light
     """
-    from robustlab.recipe.check import look_through
-    from robustlab.recipe.load import load_recipe, recipe_path
+    from robustlab.recipe.load import load_recipe, look_through, recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in look_through(loaded).sources.items()}

@@ -13,7 +13,7 @@ from robustlab.operations.declaration import InLoop, operation, public
 from robustlab.operations.kinds import Choice, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
 from robustlab.operations.words import Channel, Controller, Design, Model, Moved, Search, Seed, Sign, Signals, System
 
-DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
+DESIGN, HINF, TRACKING = "synthesis.problem.design.", "synthesis.hinf.", "synthesis.specifications.tracking."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
 Controllers = Annotated[Any, Thing(("controller", "any"), named=True), "Steps that give controllers."]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
@@ -272,19 +272,21 @@ def discretise_by_formula(
 # --- problems, and controllers compared -------------------------------------------------------------------------------
 
 
-@operation("", "tracking-problem", result="synthesis.specifications.tracking.TrackingProblem", gives="problem")
+@operation(
+    "", "tracking-problem", result=f"{TRACKING}TrackingProblem", gives="problem", public=f"{TRACKING}tracking_problem",
+    kinds={
+        "W1": (Weight(("performance_weight", "error_weight")), "On the error, as a share of the reference."),
+        "W2": (Weight(("control_weight",)), "On the control, in its own unit."),
+        "W3": (Weight(("complementary_weight",)), "On the output, as a share of the reference."),
+        "reference_bandwidth": (Number(above=0), "rad/s, above which references get smaller."),
+    },
+)  # fmt: skip
 def tracking_problem(
     system: System,
     controlled: Annotated[list[str], Names("outputs"), 'Names of outputs; "phi_*" matches all with this prefix.'],
     measured: Annotated[list[str], Names("outputs"), "The same."],
     *,
-    W1: Annotated[
-        Any, Weight(("performance_weight", "error_weight")), "On the error, as a share of the reference."
-    ] = None,
-    W2: Annotated[Any, Weight(("control_weight",)), "On the control, in its own unit."] = None,
-    W3: Annotated[Any, Weight(("complementary_weight",)), "On the output, as a share of the reference."] = None,
     reference: Annotated[Any, Sizes(), "Size of the references in the outputs' units."] = 1.0,
-    reference_bandwidth: Annotated[float | None, Number(above=0), "rad/s, above which references get smaller."] = None,
     disturbance: Annotated[Any, Sizes(), "Size of the disturbance at the controls, in their units."] = None,
     loads: Annotated[
         dict[str, float] | None,
@@ -294,6 +296,7 @@ def tracking_problem(
     noise: Annotated[
         Any, Sizes(), 'Size of the noise on the measurements, in their units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     ] = None,
+    **options: Any,
 ) -> Any:
     """A tracking problem: references that outputs follow, disturbances, noise, and weights on error and control.
 
@@ -310,9 +313,9 @@ def tracking_problem(
     forces = {name: size for name, size in (_sizes_of(loads, inputs) or {}).items() if "*" not in name}
     controls = [name for name in inputs if name not in forces]
     return pose(
-        G, controlled, measured, W1=W1, W2=W2, W3=W3, reference=_sizes_of(reference, controlled),
-        reference_bandwidth=reference_bandwidth, disturbance=_sizes_of(disturbance, controls), loads=forces,
-        noise=_sizes_of(noise, [*(f"{name}_ref" for name in controlled), *measured]),
+        G, controlled, measured, reference=_sizes_of(reference, controlled), loads=forces,
+        disturbance=_sizes_of(disturbance, controls),
+        noise=_sizes_of(noise, [*(f"{name}_ref" for name in controlled), *measured]), **options,
     )  # fmt: skip
 
 
@@ -423,7 +426,7 @@ alone.""",
 )  # fmt: skip
 
 
-@operation("", "close-loop", result="synthesis.specifications.tracking.ClosedLoop", gives="uncertain",
+@operation("", "close-loop", result=f"{TRACKING}ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
 def close_loop(system: System, controller: Controller, sign: Sign = None) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""

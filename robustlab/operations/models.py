@@ -344,35 +344,32 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
 
 
 @operation(
-    "uncertain discovery",
-    "uncertain-from",
-    result="dynamics.extended.effect_blocks.EffectBlocks",
-    gives="uncertain",
-    made="model",
-    infer=("", "of"),
-)
+    "uncertain discovery", "uncertain-from", result="dynamics.extended.effect_blocks.EffectBlocks", gives="uncertain",
+    made="model", infer=("", "of"), public="identification.missing_effects.updated_plant.uncertain_from",
+    kinds={
+        "amplitude": (
+            Table(Ends(least=0, single=True)),
+            "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
+        ),
+        "dry": (
+            Choice(("gain", "load", "both")),
+            "Bounded forces, as dry friction: load, an exact input; gain, of the describing function; load if left out.",
+        ),
+    },
+)  # fmt: skip
 def uncertain_from(
     discovery: Annotated[
         Any, Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."
     ],
     outputs: Outputs = None,
-    amplitude: Annotated[
-        dict[str, Any] | None,
-        Table(Ends(least=0, single=True)),
-        "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
-    ] = None,
-    dry: Annotated[
-        Literal["gain", "load", "both"] | None,
-        "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
-        "function; where left out, a gain where an amplitude is given, else a load.",
-    ] = None,
+    **options: Any,
 ) -> Any:
     """Uncertain model of the effects and the residual of a discovery; each block has its origin.
 
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
     try:
-        return rl.uncertain_from(discovery, outputs, amplitude=amplitude, dry=dry)
+        return rl.uncertain_from(discovery, outputs, **options)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -10,6 +11,7 @@ from pydantic import Field, WrapValidator, model_validator
 from pydantic_core import PydanticCustomError, ValidationError
 
 import robustlab as rl
+from robustlab.display import number
 from robustlab.errors import NoTrustworthyNumber, unknown_name
 from robustlab.operations.declaration import InLoop
 from robustlab.operations.kinds import Thing
@@ -24,10 +26,11 @@ from robustlab.recipe.steps.contract import (
     Text,
     Workspace,
     facts_of,
-    quantity,
     step,
 )
 from robustlab.recipe.steps.generated import OperationStep
+
+quantity = partial(number, digits=5)
 
 
 def _number_or_pair(value: Any, handler: Any) -> Any:
@@ -490,6 +493,6 @@ def _fact(row: Any) -> Fact:
     """Return a row as a line of the report: published, ours, difference; the reason as its source."""
     limit = {"equal": "", "at most": "at most ", "at least": "at least "}[row.bound]
     published = "not printed" if row.published is None else f"published {limit}{quantity(row.published, row.unit)}"
-    ours = "ours: none" if row.ours is None else f"ours {quantity(row.ours, row.unit, 6)}"
-    gap = "" if row.difference is None else f"; difference {quantity(row.difference, row.unit, 3)}"
+    ours = "ours: none" if row.ours is None else f"ours {number(row.ours, row.unit, 6)}"
+    gap = "" if row.difference is None else f"; difference {number(row.difference, row.unit, 3)}"
     return Fact(f"{row.key} ({row.status}): {row.quantity}, {row.where}", f"{published}; {ours}{gap}", row.why)

@@ -123,12 +123,6 @@ def step(cls: Kind) -> Kind:
     return cls
 
 
-def quantity(value: float, unit: str = "", digits: int = 5) -> str:
-    """Return a number with its unit as text, for example ``779.07 rad/s``."""
-    text = f"{value:.{digits}g}"
-    return f"{text} {unit}" if unit and unit != "1" else text
-
-
 @dataclass(frozen=True)
 class Fact:
     """A line of the report: label, value with unit, and source."""

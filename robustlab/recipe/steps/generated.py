@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from robustlab.display import Displayable
-from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
@@ -72,11 +71,7 @@ class OperationStep(Step):
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
-        try:
-            found = self.declared(**self._values(work))
-        except UsageError as error:  # the recipe is wrong, not a command
-            raise InputError(error.where, error.found, error.expected, error.hint) from None
-        return self.outcome(found, work)
+        return self.outcome(self.declared(**self._values(work)), work)
 
     def _values(self, work: Workspace) -> dict[str, Any]:
         values: dict[str, Any] = {}
