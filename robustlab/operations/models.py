@@ -353,7 +353,7 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
         ),
         "dry": (
             Choice(("gain", "load", "both")),
-            "Bounded forces, as dry friction: load, an exact input; gain, of the describing function; load if left out.",
+            "Bounded forces: load, an exact input; gain, of the describing function, as with an amplitude; or both.",
         ),
     },
 )  # fmt: skip
