@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter as Given
 from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -15,6 +15,7 @@ from robustlab.cli.completion import one_of, plant_or_file, recipe_or_file
 from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures, shown
 from robustlab.display import text_table
 from robustlab.errors import (
+    EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
     InputError,
@@ -35,6 +36,7 @@ from robustlab.operations.kinds import (
     comma_separated,
     runs_code,
 )
+from robustlab.report.drawings import DRAWINGS
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -91,26 +93,18 @@ VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for
 DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
 
 
-def add_commands(app: typer.Typer, group: str, *families: str) -> None:
-    """Add to a group's parser the commands that the modules of operations declare for it."""
+# Result, values of the operation's parameters, options of the command, files read -> further JSON, and the text.
+More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], tuple[Mapping[str, Any], str]]
+
+
+def add_commands(app: typer.Typer, group: str, *families: str, extended: Mapping[str, Any] | None = None) -> None:
+    """Add to a group's parser the commands that the modules of operations declare for it, some of them extended."""
     for family in families:
         load_family(family)
     for words, declared in COMMANDS.items():
-        if words.split(" ")[0] == group and not declared.own:
-            app.command(words.removeprefix(group).strip() or group)(command_of(declared))
-
-
-class Beyond(NamedTuple):
-    """Further output of a command."""
-
-    json: Mapping[str, Any] = {}
-    text: str | None = None  # instead of the result's own
-    note: str = ""  # on stderr, after the result
-    exit_code: int = 0
-
-
-# Result, values of the operation's parameters, options of the command, files read -> further output.
-More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
+        if words.split(" ")[0] == group:
+            command = command_of(declared, *(extended or {}).get(words, ()))
+            app.command(words.removeprefix(group).strip() or group)(command)
 
 
 def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
@@ -122,7 +116,8 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
     reading = dict.fromkeys(kind.reading for kind, option in things if kind.reading != "model" or not option)
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
-    written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
+    drawn = declared.result.rpartition(".")[2] in DRAWINGS  # by the class' name, without loading it
+    written = private if private is not None else (OUT, *([DRAWN] if drawn else []))
     verbose = [VERBOSE] if declared.takes("progress") and not declared.progress else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *verbose, AS_JSON, PROGRESS]
 
@@ -180,9 +175,9 @@ def answer(
         except RobustlabError as error:
             error.hint = error.hint and chosen.hint(error.hint, of_command=True)
             raise
-        beyond = Beyond()
+        further, text = {}, ""
         if more is not None:
-            beyond = more(one.result, values, {**shared, "named": given, "report": report}, files)
+            further, text = more(one.result, values, {**shared, "named": given, "report": report}, files)
         written = []
         if out:
             typed = _typed(chosen, given, shared, files)
@@ -199,13 +194,11 @@ def answer(
             written += drawn
     for remark in dict.fromkeys(one.notes):
         note(remark)
-    text = above + _text(one).replace("as the controller says", f"as {given.get('controller')} says")
-    made = {**_json(one), **({"files": written} if written else {}), **beyond.json}
-    emit(words, made, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
-    if beyond.note:
-        note(beyond.note)
-    if beyond.exit_code:
-        raise typer.Exit(beyond.exit_code)
+    text = text or above + _text(one).replace("as the controller says", f"as {given.get('controller')} says")
+    made = {**_json(one), **({"files": written} if written else {}), **further}
+    emit(words, made, "\n".join([text, *rows]), shared["as_json"])
+    if getattr(one.result, "interrupted", False):
+        raise typer.Exit(EXIT_INTERRUPTED)
     if hasattr(one.result, "require"):
         one.result.require()
     for result in (one.result, *one.beside.values()):
@@ -316,13 +309,6 @@ def provenance_of(
 
     code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
     return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, typed)
-
-
-def _draws(declared: Operation) -> bool:
-    """Return whether the results have pictures, by the class' name, without loading it."""
-    from robustlab.report.drawings import DRAWINGS
-
-    return declared.result.rpartition(".")[2] in DRAWINGS
 
 
 HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."

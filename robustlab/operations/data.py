@@ -46,7 +46,7 @@ Example: robustlab data compare mymachine.py:axis run3.csv --outputs q""",
 )  # fmt: skip
 public(
     "identification.missing_effects.discovery.discover", "data discover", "discover", gives="plant", made="model",
-    result="identification.missing_effects.discovery_result.Discovery", own=True, progress="parts",
+    result="identification.missing_effects.discovery_result.Discovery", progress="parts",
     kinds={
         "plant": Plant, "records": (RecordFile(many=True), "Records of one machine; FILE#GROUP takes that group."),
         "held_out": (RecordFile(many=True), "Record that no fit uses, for the model error."),

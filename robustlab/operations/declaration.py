@@ -87,7 +87,6 @@ class Operation:
     # is given), or a function of the step and the inference of earlier steps; None: it has none.
     infer: tuple[str, str] | Callable[[Any, Any], Any] | None = None
     numbers: Mapping[str, Any] = field(default_factory=dict[str, Any])  # `InLoop.numbers`: name -> unit
-    own: bool = False  # the command is defined by hand in its group
     progress: str = ""  # "lines": each text is a line where stderr is no terminal; "parts", "steps": work is counted
     public: str = ""  # path ``module.function`` below ``robustlab`` of the public function
     text: str = ""  # further paragraphs of help, below the first one of a public function

@@ -61,7 +61,8 @@ class Excitation:
 
         if not isinstance(uncertain, rl.UncertainModel):
             raise InputError("members", f"a {type(uncertain).__name__}", "an uncertain model")
-        _check_sine(self.sine, self.frequency)
+        if bool(self.sine) != (self.frequency is not None):
+            raise UsageError("sine", "one of sine and frequency", "both: sine and frequency belong together")
         steps, sines, dt, t_end = self.input or {}, self.sine or {}, uncertain.dt, self.t_end
         if t_end is None:
             if sines:
@@ -117,11 +118,6 @@ def violation_probability(
     given = limit if unit is None else f"{limit!r} {unit}"
     driven = drive.of(uncertain)
     return rl.violation_probability(uncertain, judged.metric, given, **judged.options, **driven, **options)
-
-
-def _check_sine(sines: Any, frequency: float | None) -> None:
-    if bool(sines) != (frequency is not None):
-        raise UsageError("sine", "one of sine and frequency", "both: sine and frequency belong together")
 
 
 # --- samples and campaigns --------------------------------------------------------------------------------------------

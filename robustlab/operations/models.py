@@ -101,7 +101,8 @@ def linearise(
     if outputs is not None:
         model = drop_unconnected(model.select(outputs=outputs))
     missing = plant.left_out(point, amplitude or {}, pade) if isinstance(plant, SteppedPlant) else ()
-    return InLoop(model, notes=left_out(missing), beside=_place(at, pose))
+    notes = tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
+    return InLoop(model, notes=notes, beside=_place(at, pose))
 
 
 def _place(at: Any, pose: Any) -> dict[str, str]:
@@ -109,10 +110,6 @@ def _place(at: Any, pose: Any) -> dict[str, str]:
         return {"rest": ", ".join(f"{name} = {value:g}" for name, value in at.items())}
     given = pose if pose is not None else at
     return {"pose": ", ".join(f"{value:g}" for value in given)} if given is not None else {}
-
-
-def left_out(missing: Any) -> tuple[str, ...]:
-    return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
 
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")

@@ -310,7 +310,9 @@ class SampleStep(OperationStep):
         if outputs is None:
             outputs = dict.fromkeys(given["outputs"] or ["*"], float)
         else:
-            self._check_references(list(outputs))
+            wrong = next((line.output for line in self.reference if line.output not in outputs), None)
+            if wrong is not None:
+                raise unknown_name(f"reference: output {wrong!r}", "no such signal", wrong, list(outputs))
         left = {
             name: {
                 "final": dict.fromkeys(("nominal", "lower", "upper"), unit),
@@ -339,11 +341,6 @@ class SampleStep(OperationStep):
         return Outcome(
             None, f"{count} members of {given['of']} simulated ({drawn}).", numbers, tuple(facts), notes=notes
         )
-
-    def _check_references(self, known: list[str]) -> None:
-        for name in (line.output for line in self.reference):
-            if name not in known:
-                raise unknown_name(f"reference: output {name!r}", "no such signal", name, known)
 
     def _output(self, work: Workspace, responses: Any, k: int) -> tuple[dict[str, Any], list[Fact]]:
         from robustlab.report.robustness_figures import response_figure
