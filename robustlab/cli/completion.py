@@ -60,7 +60,7 @@ def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete
     return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
 
 
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
     """Declare the options of the top level for completion; `main` reads them."""
 
 
