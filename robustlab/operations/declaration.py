@@ -302,7 +302,8 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
 
 def _marked(name: str, marks: list[Any], default: Any) -> Parameter:
     """Return a parameter with the outermost kind and help, which come last."""
-    kind, text = (next(mark for mark in reversed(marks) if isinstance(mark, of)) for of in (Kind, str))
+    kind = next(mark for mark in reversed(marks) if isinstance(mark, Kind))
+    text = next(mark for mark in reversed(marks) if isinstance(mark, str))
     return Parameter(name, kind, default, text)
 
 
