@@ -105,7 +105,7 @@ def resume_campaign(
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
-    """Read a store, also while a run writes it; see `CampaignResult`."""
+    """Return the content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it."""
     with closing(Store.open(Path(store))) as opened:
         return result_of(opened, _evaluator(opened), limit)
 

@@ -33,7 +33,6 @@ _PLANT_FILES = (".h5", ".mat", ".py", ".fmu")
 
 
 def one_of(*words: str) -> Offer:
-    """Return the completion of a choice."""
 
     def offered(incomplete: str) -> list[str]:
         return [word for word in words if word.startswith(incomplete)]
@@ -42,12 +41,10 @@ def one_of(*words: str) -> Offer:
 
 
 def plant_or_file(incomplete: str) -> list[str]:
-    """Return the names of shipped plants, and files of plants or models."""
     return _names_and_files(PLANTS, _PLANT_FILES, incomplete)
 
 
 def recipe_or_file(incomplete: str) -> list[str]:
-    """Return the names of shipped recipes, and files of recipes."""
     from robustlab.recipe.shipped import shipped_recipes
 
     return _names_and_files(shipped_recipes(), (".toml",), incomplete)
@@ -63,7 +60,7 @@ def _names_and_files(names: Iterable[str], suffixes: tuple[str, ...], incomplete
     return found + sorted(name for name in files if re.fullmatch(r"[\w.,+@%/-]+", name))  # bash would not quote more
 
 
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and leave.")] = False) -> None:
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False) -> None:
     """Declare the options of the top level for completion; `main` reads them."""
 
 

@@ -90,7 +90,6 @@ def note(text: str) -> None:
 
 
 def named(signals: Iterable[rl.Signal]) -> list[str]:
-    """Return the signals with their units."""
     return [f"{s.name} [{s.unit}]" if s.unit else s.name for s in signals]
 
 
@@ -155,7 +154,6 @@ class Display:
             note(text)
 
     def __call__(self, text: str) -> None:
-        """Show the current activity."""
         self._text = text
         if self.mode == "lines":
             note(text)
@@ -166,13 +164,11 @@ class Display:
             self._kept.append(text)
 
     def step(self, done: float, text: str = "") -> None:
-        """Set the number of finished steps."""
         self._done = done
         if text:
             self(text)
 
     def work(self, done: float, whole: float) -> None:
-        """Set the work done and its largest amount."""
         self._done, self.total = done, whole
 
     @property

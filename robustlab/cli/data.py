@@ -15,16 +15,13 @@ from robustlab.cli.generated import (
     AS_JSON,
     PROGRESS,
     READ,
-    Beyond,
     Options,
     add_commands,
-    command_of,
     provenance_of,
     read_record,
     taking,
 )
-from robustlab.errors import EXIT_INTERRUPTED, EnvironmentFault
-from robustlab.operations.declaration import COMMANDS
+from robustlab.errors import EnvironmentFault
 
 if TYPE_CHECKING:
     from robustlab.identification.missing_effects.discovery_result import Discovery
@@ -32,12 +29,7 @@ if TYPE_CHECKING:
 
 PLANT_FILE, EXPERIMENT_FILE = "updated-plant.h5", "next-experiment.csv"
 
-app = typer.Typer(
-    help="Check, convert and compare measured records; name what a model lacks.",
-    no_args_is_help=True,
-    add_completion=False,
-)
-add_commands(app, "data", "data")
+app = typer.Typer()
 
 
 @app.command()
@@ -67,8 +59,10 @@ FILES: Options = (
 )  # fmt: skip
 
 
-def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]) -> Beyond:
-    result = {"model": options["named"]["model"], **found.to_json()}
+def _discovered(
+    found: Discovery, values: Mapping[str, Any], options: Mapping[str, Any], files: list[str]
+) -> tuple[Mapping[str, Any], str]:
+    result = {"model": options["named"]["plant"], **found.to_json()}
     origin, written = provenance_of("data discover", files, values), list[str]()
     if options["figures"] or options["folder"]:
         options["report"]("figures and files")
@@ -80,18 +74,15 @@ def _discovered(found: Discovery, values: Mapping[str, Any], options: Mapping[st
         written += _fill_folder(found, result, Path(options["folder"]), origin)
     for file in written:
         note(f"wrote {file}")
-    remark, code = "", 0
     if found.interrupted:
-        remark, code = "interrupted: the result has what was known by then", EXIT_INTERRUPTED
+        note("interrupted: the result has what was known by then")
     elif not found.status.trustworthy:
-        remark = f"the verdict is {found.verdict!r}: no single effect is identified (exit code 4)"
-        if found.verdict == "named":
-            remark = "the verdict is 'named, incomplete': more than half of the error is unexplained (exit code 4)"
+        incomplete = ("named, incomplete", "more than half of the error is unexplained")
+        whole = (found.verdict, "no single effect is identified")
+        verdict, why = incomplete if found.verdict == "named" else whole
+        note(f"the verdict is {verdict!r}: {why} (exit code 4)")
     text = found.report() if options["details"] else found.summary()
-    return Beyond({**result, "files": written}, f"{found.headline()}.\n{text}", remark, code)
-
-
-app.command("discover")(command_of(COMMANDS["data discover"], FILES, _discovered))
+    return {**result, "files": written}, f"{found.headline()}.\n{text}"
 
 
 def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, origin: Provenance) -> list[str]:
@@ -114,3 +105,6 @@ def _fill_folder(found: Discovery, result: Mapping[str, Any], folder: Path, orig
     target = folder / "result.json"
     atomic_write(target, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return [*files, str(target)]
+
+
+add_commands(app, "data", "data", extended={"data discover": (FILES, _discovered)})

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter as Given
 from inspect import Signature, signature
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 
@@ -15,6 +15,7 @@ from robustlab.cli.completion import one_of, plant_or_file, recipe_or_file
 from robustlab.cli.console import FIGURE, emit, note, result_alone, save_figures, shown
 from robustlab.display import text_table
 from robustlab.errors import (
+    EXIT_INTERRUPTED,
     EXIT_REQUIREMENT_NOT_MET,
     EnvironmentFault,
     InputError,
@@ -23,8 +24,19 @@ from robustlab.errors import (
     UsageError,
 )
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, RecordFile, Table, TextFile, Thing, comma_separated
-from robustlab.operations.reading import runs_code
+from robustlab.operations.kinds import (
+    Choice,
+    Feedback,
+    Flag,
+    Kind,
+    RecordFile,
+    Table,
+    TextFile,
+    Thing,
+    comma_separated,
+    runs_code,
+)
+from robustlab.report.drawings import DRAWINGS
 from robustlab.units import same_unit
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
@@ -81,38 +93,31 @@ VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for
 DRAWN = ("figure", str | None, typer.Option(metavar="PATH", help=FIGURE), None)
 
 
-def add_commands(app: typer.Typer, group: str, *families: str) -> None:
-    """Add to a group's parser the commands that the modules of operations declare for it."""
+# Result, values of the operation's parameters, options of the command, files read -> further JSON, and the text.
+More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], tuple[Mapping[str, Any], str]]
+
+
+def add_commands(app: typer.Typer, group: str, *families: str, extended: Mapping[str, Any] | None = None) -> None:
+    """Add to a group's parser the commands that the modules of operations declare for it, some of them extended."""
     for family in families:
         load_family(family)
     for words, declared in COMMANDS.items():
-        if words.split(" ")[0] == group and not declared.own:
-            app.command(words.removeprefix(group).strip() or group)(command_of(declared))
-
-
-class Beyond(NamedTuple):
-    """Further output of a command."""
-
-    json: Mapping[str, Any] = {}
-    text: str | None = None  # instead of the result's own
-    note: str = ""  # on stderr, after the result
-    exit_code: int = 0
-
-
-# Result, values of the operation's parameters, options of the command, files read -> further output.
-More = Callable[[Any, Mapping[str, Any], Mapping[str, Any], list[str]], Beyond]
+        if words.split(" ")[0] == group:
+            command = command_of(declared, *(extended or {}).get(words, ()))
+            app.command(words.removeprefix(group).strip() or group)(command)
 
 
 def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
     """Return the command of an operation for the parser."""
     words = declared.command
-    offered = [p for p in declared.parameters if p.called.only != "step"]
-    things = [(p.kind, p.called.option) for p in offered if isinstance(p.kind, Thing)]
-    alone = sum(isinstance(p.kind, (Thing, TextFile)) and p.needed and not p.called.option for p in offered) == 1
+    offered = [p for p in declared.parameters if p.kind.only != "step"]
+    things = [(p.kind, p.kind.option) for p in offered if isinstance(p.kind, Thing)]
+    alone = sum(isinstance(p.kind, (Thing, TextFile)) and p.needed and not p.kind.option for p in offered) == 1
     reading = dict.fromkeys(kind.reading for kind, option in things if kind.reading != "model" or not option)
     if any(kind.settings for kind, _ in things):
         reading["plant"] = None
-    written = private if private is not None else (OUT, *([DRAWN] if _draws(declared) else []))
+    drawn = declared.result.rpartition(".")[2] in DRAWINGS  # by the class' name, without loading it
+    written = private if private is not None else (OUT, *([DRAWN] if drawn else []))
     verbose = [VERBOSE] if declared.takes("progress") and not declared.progress else []
     own = [*(option for kind in reading for option in READ[kind]), *written, *verbose, AS_JSON, PROGRESS]
 
@@ -121,8 +126,7 @@ def command_of(declared: Operation, private: Options | None = None, more: More |
         answer(words, declared, given, shared, more)
 
     command.__name__ = words.replace(" ", "_").replace("-", "_")
-    parts = (declared.title, declared.more, f"Example: {declared.example}" if declared.example else "")
-    command.__doc__ = "\n\n".join(filter(None, parts))
+    command.__doc__ = "\n\n".join(declared.paragraphs)
     return _offering(command, [_given(p, alone) for p in offered], own)
 
 
@@ -171,9 +175,9 @@ def answer(
         except RobustlabError as error:
             error.hint = error.hint and chosen.hint(error.hint, of_command=True)
             raise
-        beyond = Beyond()
+        further, text = {}, ""
         if more is not None:
-            beyond = more(one.result, values, {**shared, "named": given, "report": report}, files)
+            further, text = more(one.result, values, {**shared, "named": given, "report": report}, files)
         written = []
         if out:
             typed = _typed(chosen, given, shared, files)
@@ -190,13 +194,11 @@ def answer(
             written += drawn
     for remark in dict.fromkeys(one.notes):
         note(remark)
-    text = above + _text(one).replace("as the controller says", f"as {given.get('controller')} says")
-    made = {**_json(one), **({"files": written} if written else {}), **beyond.json}
-    emit(words, made, "\n".join([text if beyond.text is None else beyond.text, *rows]), shared["as_json"])
-    if beyond.note:
-        note(beyond.note)
-    if beyond.exit_code:
-        raise typer.Exit(beyond.exit_code)
+    text = text or above + _text(one).replace("as the controller says", f"as {given.get('controller')} says")
+    made = {**_json(one), **({"files": written} if written else {}), **further}
+    emit(words, made, "\n".join([text, *rows]), shared["as_json"])
+    if getattr(one.result, "interrupted", False):
+        raise typer.Exit(EXIT_INTERRUPTED)
     if hasattr(one.result, "require"):
         one.result.require()
     for result in (one.result, *one.beside.values()):
@@ -293,7 +295,7 @@ def _typed(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any
     for p in chosen.parameters:
         value = given.get(p.name)
         if value not in (None, _as_text(p), []):
-            word = "" if isinstance(p.kind, Thing) and not p.called.option else p.options[-1].lstrip("-")
+            word = "" if isinstance(p.kind, Thing) and not p.kind.option else p.options[-1].lstrip("-")
             texts = value if isinstance(value, list) else [value]
             words += [f"{word} {text}".strip() for text in texts if word or text not in files]
     return ", ".join([*words, *(f"set {text}" for text in shared.get("settings") or ())])
@@ -307,13 +309,6 @@ def provenance_of(
 
     code = {file: sha for value in values.values() for file, sha in code_of(value).items()}
     return Provenance.now(words, {f: file_sha256(f) for f in files} | code, seed, typed)
-
-
-def _draws(declared: Operation) -> bool:
-    """Return whether the results have pictures, by the class' name, without loading it."""
-    from robustlab.report.drawings import DRAWINGS
-
-    return declared.result.rpartition(".")[2] in DRAWINGS
 
 
 HINT = "name the columns: --inputs u=COLUMN,... --outputs q=COLUMN,..."
@@ -375,13 +370,13 @@ def _units_of(system: Any, side: str) -> dict[str, str]:
 
 
 def _given(p: Parameter, alone: bool) -> Given:
-    placed = p.called.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.called.option)
+    placed = p.kind.option == "*" or (isinstance(p.kind, (Thing, TextFile)) and not p.kind.option)
     positional = placed and (p.needed or getattr(p.kind, "positional", False))
     kind: Any = p.kind.taken
     help_text = p.help if not isinstance(p.kind, Choice) else f"{p.help} One of {', '.join(p.kind.words)}.".strip()
     if positional:
         many = isinstance(p.kind, Thing) and p.kind.many
-        metavar = "FILE..." if many else "FILE" if alone and p.called.option != "*" else p.name.upper()
+        metavar = "FILE..." if many else "FILE" if alone and p.kind.option != "*" else p.name.upper()
         option: Any = typer.Argument(help=help_text, metavar=metavar, autocompletion=_offer(p.kind))
         default: Any = Given.empty if p.needed else None
         taken = kind if p.needed else kind | None

@@ -25,12 +25,12 @@ GROUPS: dict[str, tuple[str, str]] = {
     "worst-gain": ("robustness", "Proved worst-case gain of an uncertain model."),
     "performance-margin": ("robustness", "Robust performance margin of a set."),
     "synth": ("designs", "Design a controller and verify its loop."),
-    "data": ("data:app", "Check and compare records; name what a model lacks."),
+    "data": ("data:app", "Check and compare records; identify missing effects."),
     "run": ("run:RUN", "Run a recipe: steps, requirements, report."),
     "recipe": ("run:RECIPE", "Check a recipe, list kinds of steps, start a new one."),
     "report": ("run:REPORT", "Write a finished run's report again; compare two runs."),
-    "verify": ("run:VERIFY", "Have results proved once more, from their files alone."),
-    "doctor": ("run:DOCTOR", "Say whether this installation can work."),
+    "verify": ("run:VERIFY", "Verify results again, from their files alone."),
+    "doctor": ("run:DOCTOR", "Check whether this installation works."),
 }
 
 # One BLAS thread unless the user sets another number: matrices are small, threads made a run several times slower on a
@@ -51,8 +51,8 @@ Commands:
 
 _FOOT = """
 Options:
-  --version  Print the version and leave.
-  --help     Show this message and leave; COMMAND --help shows that command's.
+  --version  Print the version and exit.
+  --help     Show this message and exit; COMMAND --help shows that command's.
   --install-completion  Words completed by TAB, in the shell that you use.
   --show-completion     Print what that shell would load.
 
@@ -63,7 +63,7 @@ Exit codes:
   0 done and all requirements met   1 a stated requirement is not met
   2 usage                           3 bad input
   4 no trustworthy number           5 environment
-  70 a bug of ours                  130 interrupted (Ctrl-C, SIGTERM)
+  70 a bug in robustlab             130 interrupted (Ctrl-C, SIGTERM)
 """
 
 
@@ -88,7 +88,7 @@ def parser(name: str) -> Any:
     from typer.main import get_command
 
     made, title = GROUPS[name]
-    app, families = typer.Typer(help=title, no_args_is_help=True, add_completion=False), made.split()
+    app, families = typer.Typer(), made.split()
     if ":" in made:
         module, _, app_name = families.pop(0).partition(":")
         app = getattr(import_module(f"robustlab.cli.{module}"), app_name)
@@ -96,12 +96,13 @@ def parser(name: str) -> Any:
         from robustlab.cli.generated import add_commands
 
         add_commands(app, name, *families)
+    app.info.help = app.info.help or title
+    app.info.no_args_is_help, app._add_completion = True, False
     app.rich_markup_mode = None  # plain text, as in the documentation
     return get_command(app)
 
 
 def help_text() -> str:
-    """Return the text of ``robustlab --help``."""
     width = max(map(len, GROUPS))
     rows = [f"  {name.ljust(width)}  {line}\n" for name, (_, line) in GROUPS.items()]
     return _HEAD + "".join(rows) + _FOOT
@@ -168,7 +169,6 @@ def _raise_with_choices(error: Any) -> None:
 
 
 def main() -> None:
-    """Entry point of the ``robustlab`` script."""
     from robustlab.cli.console import main_guard, ready_streams
 
     def command() -> int:

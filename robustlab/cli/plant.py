@@ -13,13 +13,9 @@ from robustlab.cli.console import emit, named, note, result_alone
 from robustlab.cli.generated import AS_JSON, READ, JsonOption, taking
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
-from robustlab.operations import reading
-from robustlab.operations.kinds import Ends, Number, Table
-from robustlab.operations.reading import made_of, plant_settings
+from robustlab.operations.kinds import Ends, Number, Table, made_of, plant_settings, read_plant, runs_code
 
-PLANT = typer.Typer(
-    help="List plants, show one; start one of your own in a file.", no_args_is_help=True, add_completion=False
-)
+PLANT, MODEL = typer.Typer(), typer.Typer()
 
 
 @PLANT.command("list")
@@ -87,9 +83,9 @@ def show(
         text = "\n".join(f"{plant}:{name}" for name in names) or f"{plant}: no plant in it"
         emit("plant show", {"file": plant, "plants": list(names)}, text, as_json)
         return
-    if reading.runs_code(plant):
+    if runs_code(plant):
         result_alone()
-    made = reading.read_plant(plant, plant_settings(settings))
+    made = read_plant(plant, plant_settings(settings))
     given = Table(Number()).read("--at", at) or {}
     trim, model, problem = _equilibrium(made, given)
     point = None
@@ -188,7 +184,6 @@ def _joints(plant: Any) -> list[dict[str, str]]:
 
 
 def signal_lines(thing: Any) -> list[str]:
-    """Return a line each for inputs, outputs and states of a plant or model."""
     return [f"  {side}: {', '.join(named(getattr(thing, side))) or 'none'}" for side in SIDES]
 
 
@@ -211,8 +206,6 @@ def parameter_lines(plant: Any) -> list[str]:
 
 
 # --- models -----------------------------------------------------------------------------------------------------------
-
-MODEL = typer.Typer(help="Build, show, check, compare and convert models.", no_args_is_help=True, add_completion=False)
 
 SHOWN_STATES = 12
 

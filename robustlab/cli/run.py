@@ -35,7 +35,18 @@ if TYPE_CHECKING:
 
 WIDTH = 44  # of a step's line, before its time
 
-RUN = typer.Typer(help="Run a recipe: steps, requirements, report.", add_completion=False)
+
+class _FolderOrCommand(TyperGroup):
+    """``robustlab report RUN_DIR`` is short for ``robustlab report write RUN_DIR``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in (*self.commands, "--help"):
+            args = ["write", *args]
+        return super().parse_args(ctx, args)
+
+
+RUN, RECIPE, VERIFY, DOCTOR = (typer.Typer() for _ in range(4))
+REPORT = typer.Typer(cls=_FolderOrCommand)
 
 
 @RUN.command()
@@ -140,10 +151,6 @@ def _text(result: RunResult) -> str:
 
 # --- recipe -----------------------------------------------------------------------------------------------------------
 
-RECIPE = typer.Typer(
-    help="Check a recipe, list the kinds of steps, start a new one.", no_args_is_help=True, add_completion=False
-)
-
 
 @RECIPE.command()
 def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOption = False) -> None:
@@ -153,8 +160,7 @@ def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOp
 
     Example: robustlab recipe check first-light
     """
-    from robustlab.recipe.check import look_through
-    from robustlab.recipe.load import load_recipe, recipe_path
+    from robustlab.recipe.load import load_recipe, look_through, recipe_path
 
     loaded = load_recipe(recipe_path(recipe), changes or [])
     files = {name: str(path) for name, path in look_through(loaded).sources.items()}
@@ -228,23 +234,6 @@ def new(
 # --- report -----------------------------------------------------------------------------------------------------------
 
 MOST_NUMBERS = 40  # of changed numbers in the list; --json has all
-
-
-class _FolderOrCommand(TyperGroup):
-    """``robustlab report RUN_DIR`` is short for ``robustlab report write RUN_DIR``."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in (*self.commands, "--help"):
-            args = ["write", *args]
-        return super().parse_args(ctx, args)
-
-
-REPORT = typer.Typer(
-    help="Write the report of a finished run again (robustlab report RUN_DIR), or compare two runs.",
-    cls=_FolderOrCommand,
-    no_args_is_help=True,
-    add_completion=False,
-)
 
 
 @REPORT.command()
@@ -321,8 +310,6 @@ def _cells(change: dict[str, Any]) -> tuple[str, str, str]:
 
 # --- verify -----------------------------------------------------------------------------------------------------------
 
-VERIFY = typer.Typer(help="Verify files of results.", add_completion=False)
-
 
 @VERIFY.command()
 def verify(
@@ -372,8 +359,6 @@ def _files_in(given: str) -> list[Path]:
 
 
 # --- doctor -----------------------------------------------------------------------------------------------------------
-
-DOCTOR = typer.Typer(help="Say whether this installation can work.", add_completion=False)
 
 
 @DOCTOR.command()

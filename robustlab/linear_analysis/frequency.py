@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray
-from robustlab.display import AllFields, Displayable, Facts, number
+from robustlab.display import AllFields, Displayable, Each, Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.linear_analysis.matrices import balancing_factors, refuse_overflow
 from robustlab.linear_analysis.structural import drop_unconnected
@@ -149,7 +149,7 @@ class SteadyState(AllFields, Displayable):
     units: Mapping[str, str]
     status: Status = Status.CONVERGED
 
-    quantities: ClassVar[Mapping[str, Any]] = {"outputs": {"*": float}}
+    quantities: ClassVar[Mapping[str, Any]] = {"outputs": Each("outputs", "*")}
 
     def headline(self) -> str:
         given = ", ".join(f"{name} = {number(value, self.units[name], 5)}" for name, value in self.inputs.items())

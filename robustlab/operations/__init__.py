@@ -9,6 +9,5 @@ __all__, __getattr__ = lazily(
         "kinds": "Choice Numbers Table Thing",
         "members": "METRICS",
         "models": "COVERS elementwise",
-        "vocabulary": "Positive ToModel",
     },
 )

@@ -9,13 +9,12 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import ByNumber, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
-from robustlab.operations.words import Controller, Design, Model, Moved, SampleTime, Search, Seed, Sign, Signals, System
+from robustlab.operations.declaration import InLoop, operation, public
+from robustlab.operations.kinds import Choice, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
+from robustlab.operations.words import Channel, Controller, Design, Model, Moved, Search, Seed, Sign, Signals, System
 
-DESIGN, HINF = "synthesis.problem.design.", "synthesis.hinf."
+DESIGN, HINF, TRACKING = "synthesis.problem.design.", "synthesis.hinf.", "synthesis.specifications.tracking."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
-Channel = Annotated[Any, ByNumber()]
 Controllers = Annotated[Any, Thing(("controller", "any"), named=True), "Steps that give controllers."]
 Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
 Controls = Annotated[Channel, "Control inputs by name, or how many of the last; a tracking problem knows its own."]
@@ -58,88 +57,61 @@ Nominal = Annotated[
 NominalProblem = Annotated[
     bool | None, "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
 ]
-GammaRel = Annotated[
-    float,
-    Number(least=1, most=10),
-    "Allowed ratio to the smallest gamma; within it the controller of lowest bandwidth is chosen.",
-]
+GAMMA_REL = {"gamma_rel": Number(least=1, most=10)}
 Structure = Annotated[
     str,
     "static, p, i, pi, pd, pid (one per channel), order:N, poles:-1,-20, ipd or two-layer (with :full, :diagonal, "
     ":scalar), decentralised:WORD.",
 ]
-Order = Annotated[int | None, Whole(0, 1000)]
+CONTROLLER: Any = {"gives": "controller", "made": "controller"}
 
 
-def _design(found: Any, system: Any = None, proved: bool = True, drawn: bool = False) -> Any:
-    """Return a design, with the loop of a tracking problem against its weights where that is drawn."""
+def _design(found: Any, system: Any, proved: bool = True) -> InLoop:
+    """Return a design, of a tracking problem with its loop against the weights."""
     from robustlab.synthesis.specifications.tracking import TrackingLoop, TrackingProblem
 
-    if not drawn or not isinstance(system, TrackingProblem):
-        return found
-    return InLoop(found, "", (), {"functions": TrackingLoop(system, found, found.gamma if proved else None)})
+    if not isinstance(system, TrackingProblem):
+        return InLoop(found)
+    return InLoop(found, beside={"functions": TrackingLoop(system, found, found.gamma if proved else None)})
 
 
 # --- generalised plants -----------------------------------------------------------------------------------------------
 
 
-@operation("synth hinf", "hinf", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
-def hinf(
-    system: Plant,
-    *,
-    channels: Channels,
-    nominal: NominalProblem = None,
-    gamma_rel: GammaRel = 1.05,
-    search: Search,
-    progress: Any = None,
-    drawn: bool = False,
-) -> Any:
+@operation(
+    "synth hinf", "hinf", result=DESIGN + "HinfSynthesis", public="analysis.designs.hinf", kinds=GAMMA_REL, **CONTROLLER
+)
+def hinf(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
     Exit code 4: no controller could be verified.
 
     Example: robustlab synth hinf plant.h5 --measurements 1 --controls 1 --out controller.h5
     """
-    P = channels.posed(system, "hinf", nominal)
-    found = rl.hinf(P, gamma_rel=gamma_rel, progress=progress, **vars(search))
-    return _design(found, system, drawn=drawn)
+    return _design(rl.hinf(channels.posed(system, "hinf", nominal), **options), system)
 
 
-@operation("synth h2", "h2", result="synthesis.h2.H2Synthesis", gives="controller", made="controller")
-def h2(
-    system: Plant,
-    *,
-    channels: Channels,
-    nominal: NominalProblem = None,
-    search: Search,
-    progress: Any = None,
-    drawn: bool = False,
-) -> Any:
+@operation("synth h2", "h2", result="synthesis.h2.H2Synthesis", public="synthesis.h2.h2", **CONTROLLER)
+def h2(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H2 (LQG) controller u = K y (positive feedback) of a generalised plant; gamma is the verified H2 norm.
 
     Exit code 4: no controller could be verified, or no finite H2 norm exists.
 
     Example: robustlab synth h2 plant.h5 --measurements y --controls u --out controller.h5
     """
-    P = channels.posed(system, "h2", nominal)
-    return _design(rl.h2(P, progress=progress, **vars(search)), system, drawn=drawn)
+    return _design(rl.h2(channels.posed(system, "h2", nominal), **options), system)
 
 
-@operation("synth dk", "dk", result="synthesis.dk.dk_iteration.DKSynthesis", gives="controller", made="controller")
+@operation(
+    "synth dk", "dk", result="synthesis.dk.dk_iteration.DKSynthesis", public="synthesis.dk.dk_iteration.dk",
+    kinds={"max_order": Whole(0, 1000), "order_rel": Number(least=0, below=1)}, **CONTROLLER,
+)  # fmt: skip
 def dk(
     system: Plant,
     *,
     channels: Channels,
     start: Annotated[Any, Thing(("controller", "any")), "Stabilising controller to start from."] = None,
-    max_order: Annotated[Order, "Largest order of the controller."] = None,
-    order_rel: Annotated[
-        float,
-        Number(least=0, below=1),
-        "Loss of level allowed for a controller of lower order, then for one with slower poles.",
-    ] = 0.01,
-    search: Search,
-    progress: Any = None,
-    drawn: bool = False,
+    **options: Any,
 ) -> Any:
     """Robust controller u = K y (positive feedback): makes the peak of mu small, over K and scalings together.
 
@@ -148,14 +120,13 @@ def dk(
 
     Example: robustlab synth dk uncertain.h5 --measurements y --controls u --figure design.svg --out controller.h5
     """
-    P = channels.posed(system, "dk")
-    found = rl.dk(P, K0=start, max_order=max_order, order_rel=order_rel, progress=progress, **vars(search))
-    return _design(found, system, proved=False, drawn=drawn)
+    return _design(rl.dk(channels.posed(system, "dk"), K0=start, **options), system, proved=False)
 
 
 @operation(
-    "synth fixed", "fixed", result="synthesis.fixed_structure.FixedSynthesis", gives="controller", made="controller"
-)
+    "synth fixed", "fixed", result="synthesis.fixed_structure.FixedSynthesis",
+    public="synthesis.fixed_structure.fixed_structure", **CONTROLLER,
+)  # fmt: skip
 def fixed_structure(
     system: Plant,
     *,
@@ -163,10 +134,7 @@ def fixed_structure(
     channels: Channels,
     nominal: Nominal = False,
     starts: Annotated[int, Whole(0, 1000), "Number of random starts."] = 3,
-    seed: Seed = 0,
-    search: Search,
-    progress: Any = None,
-    drawn: bool = False,
+    **options: Any,
 ) -> Any:
     """Controller u = K y (positive feedback) of a given structure: the smallest norm found, verified; a local optimum.
 
@@ -175,37 +143,31 @@ def fixed_structure(
 
     Example: robustlab synth fixed plant.h5 --structure order:2 --measurements 1 --controls 1 --out controller.h5
     """
-    P = channels.posed(system, "fixed", nominal)
-    found = rl.fixed_structure(P, structure, starts=starts, seed=seed, progress=progress, **vars(search))
-    return _design(found, system, nominal, drawn)
+    found = rl.fixed_structure(channels.posed(system, "fixed", nominal), structure, starts=starts, **options)
+    return _design(found, system, nominal)
 
 
 # --- plain models -----------------------------------------------------------------------------------------------------
 
 
-@operation("synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", gives="controller", made="controller")
+@operation(
+    "synth mixsyn", "mixsyn", result=DESIGN + "HinfSynthesis", public=f"{HINF}loop_shaping.mixsyn", kinds=GAMMA_REL,
+    **CONTROLLER,
+)  # fmt: skip
 def mixsyn(
     system: Model,
     *,
     w1: Annotated[
-        Any,
-        Weight(("performance_weight",)),
-        'On the error: a number, or "bandwidth=10,error=0.01,peak=2".',
-        Named(key="W1"),
+        Any, Weight(("performance_weight",), key="W1"), 'On the error: a number, or "bandwidth=10,error=0.01,peak=2".'
     ] = None,
     w2: Annotated[
-        Any, Weight(("control_weight",)), 'On the control: a number, or "limit=20,bandwidth=1000".', Named(key="W2")
+        Any, Weight(("control_weight",), key="W2"), 'On the control: a number, or "limit=20,bandwidth=1000".'
     ] = None,
     w3: Annotated[
-        Any,
-        Weight(("complementary_weight",)),
-        'On the output: a number, or "bandwidth=100,peak=2,roll_off=0.001".',
-        Named(key="W3"),
+        Any, Weight(("complementary_weight",), key="W3"), 'On the output: "bandwidth=100,peak=2,roll_off=0.001".'
     ] = None,
     signals: Signals,
-    gamma_rel: GammaRel = 1.05,
-    search: Search,
-    progress: Any = None,
+    **options: Any,
 ) -> Any:
     """Mixed-sensitivity controller u = K (r - y) of a plant: makes the norm of [W1 S; W2 K S; W3 T] small, verified.
 
@@ -220,28 +182,24 @@ def mixsyn(
     kept = drop_unconnected(model)
     gone = [name for name in model.state_names if name not in kept.state_names]
     notes = (f"left out, for no chosen input or output touches them: states {', '.join(gone)}",) if gone else ()
-    found = rl.mixsyn(kept, w1, w2, w3, gamma_rel=gamma_rel, progress=progress, **vars(search))
-    return InLoop(found, "", notes)
+    return InLoop(rl.mixsyn(kept, w1, w2, w3, **options), "", notes)
 
 
-@operation("synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", gives="controller", made="controller")
+@operation(
+    "synth ncf", "ncf", result=f"{HINF}loop_shaping.NcfSynthesis", public=f"{HINF}loop_shaping.ncf",
+    kinds={"factor": Number(above=1, most=100)}, **CONTROLLER,
+)  # fmt: skip
 def ncf(
     system: Model,
     *,
     w1: Annotated[
-        Any,
-        Thing(("model", "any"), model=True, number=True),
-        "Before the plant: a number, or a model.",
-        Named(key="W1"),
+        Any, Thing(("model", "any"), model=True, number=True, key="W1"), "Before the plant: a number, or a model."
     ] = None,
     w2: Annotated[
-        Any,
-        Thing(("model", "any"), model=True, number=True),
-        "Behind the plant: a number, or a model.",
-        Named(key="W2"),
+        Any, Thing(("model", "any"), model=True, number=True, key="W2"), "Behind the plant: a number, or a model."
     ] = None,
     signals: Signals,
-    factor: Annotated[float, Number(above=1, most=100), "Back-off from the smallest gamma, above 1."] = 1.1,
+    **options: Any,
 ) -> Any:
     """Loop shaping with normalised coprime factors: u = K y (positive feedback), gamma_min exact.
 
@@ -250,57 +208,35 @@ def ncf(
 
     Example: robustlab synth ncf motor.h5 --outputs omega --w1 10 --out controller.h5
     """
-    return rl.ncf(signals.of(system), w1, w2, factor=factor)
+    return rl.ncf(signals.of(system), w1, w2, **options)
 
 
 # --- reduction, discretisation, the closed loop -----------------------------------------------------------------------
 
 
-REDUCED: Any = {
-    "result": "synthesis.reduction.model_reduction.ReducedModel", "gives": "model", "made": "model", "infer": "of"
-}  # fmt: skip
+REDUCTION, WEIGHT = "synthesis.reduction.model_reduction.", Thing(("model", "any"))
+REDUCED: Any = {"result": REDUCTION + "ReducedModel", "gives": "model", "made": "model", "infer": ("of", "of")}
 
+public(
+    f"{REDUCTION}reduce_model", "model reduce", "reduce-model", **REDUCED,
+    kinds={
+        "model": Model, "order": Whole(0, 1000), "tolerance": Number(above=0, option="--max-error"),
+        "method": Choice(("truncation", "residualisation", "hankel", "stochastic", "coprime")),
+        "input_weight": (WEIGHT, "A stable model W_i: the error is W_o (G - Gr) W_i."),
+        "output_weight": (WEIGHT, "The same for W_o."), "floor": Number(least=0),
+    },
+    text="""Modes that are not stable are kept, or reduced too with the method coprime.
+Exit code 4: the error could not be certified, or the model of that order is not stable.
 
-@operation("model reduce", "reduce-model", calls="synthesis.reduction.model_reduction.reduce_model", **REDUCED)
-def reduce_model(
-    model: Model,
-    order: Annotated[Order, "States of the result."] = None,
-    tolerance: Annotated[
-        float | None, Number(above=0), "Instead of the order: largest error, as reported.", Named(option="--max-error")
-    ] = None,
-    method: Annotated[
-        Literal["truncation", "residualisation", "hankel", "stochastic", "coprime"],
-        "stochastic: relative error; coprime: unstable modes too.",
-    ] = "truncation",
-    input_weight: Annotated[Any, Thing(("model", "any")), "A stable model W_i: the error is W_o (G - Gr) W_i."] = None,
-    output_weight: Annotated[Any, Thing(("model", "any")), "The same for W_o."] = None,
-    floor: Annotated[float, Number(least=0), "Of stochastic: gain below which errors count absolutely."] = 0.0,
-) -> Any:
-    """A model of lower order, with its certified error and the bound of theory.
+Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5""",
+)  # fmt: skip
+public(
+    f"{REDUCTION}minimal", "model minimal", "minimal", **REDUCED,
+    kinds={"model": Model, "tolerance": Number(above=0, below=1, option="--rank-tolerance")},
+    text="""Exit code 4: the order depends on rounding.
 
-    Modes that are not stable are kept, or reduced too with the method coprime.
-    Exit code 4: the error could not be certified, or the model of that order is not stable.
-
-    Example: robustlab model reduce plant.h5 --max-error 0.01 --out small.h5
-    """
-
-
-@operation("model minimal", "minimal", calls="synthesis.reduction.model_reduction.minimal", **REDUCED)
-def minimal(
-    model: Model,
-    tolerance: Annotated[
-        float | None,
-        Number(above=0, below=1),
-        "Singular values of the scaled staircase up to this count as zero.",
-        Named(option="--rank-tolerance"),
-    ] = None,
-) -> Any:
-    """The model without uncontrollable or unobservable modes, unstable ones too; with the certified error.
-
-    Exit code 4: the order depends on rounding.
-
-    Example: robustlab model minimal plant.h5 --out minimal.h5
-    """
+Example: robustlab model minimal plant.h5 --out minimal.h5""",
+)  # fmt: skip
 
 
 def _inferred_loop(step: Any, ahead: Any) -> Any:
@@ -314,7 +250,7 @@ def _inferred_loop(step: Any, ahead: Any) -> Any:
 @operation("model discretise", result="statespace.StateSpaceModel", gives="model")
 def discretise_by_formula(
     system: Annotated[Any, Thing(("plant", "model", "any")), "HDF5 or .mat file."],
-    dt: SampleTime,
+    dt: Annotated[float, Number(above=0), "Sample time in s."],
     method: Annotated[Literal["tustin", "zoh", "foh"], "The formula."] = "tustin",
 ) -> Any:
     """A discrete model of a continuous one, by formula.
@@ -336,19 +272,21 @@ def discretise_by_formula(
 # --- problems, and controllers compared -------------------------------------------------------------------------------
 
 
-@operation("", "tracking-problem", result="synthesis.specifications.tracking.TrackingProblem", gives="problem")
+@operation(
+    "", "tracking-problem", result=f"{TRACKING}TrackingProblem", gives="problem", public=f"{TRACKING}tracking_problem",
+    kinds={
+        "W1": (Weight(("performance_weight", "error_weight")), "On the error, as a share of the reference."),
+        "W2": (Weight(("control_weight",)), "On the control, in its own unit."),
+        "W3": (Weight(("complementary_weight",)), "On the output, as a share of the reference."),
+        "reference_bandwidth": (Number(above=0), "rad/s, above which references get smaller."),
+    },
+)  # fmt: skip
 def tracking_problem(
     system: System,
     controlled: Annotated[list[str], Names("outputs"), 'Names of outputs; "phi_*" matches all with this prefix.'],
     measured: Annotated[list[str], Names("outputs"), "The same."],
     *,
-    W1: Annotated[
-        Any, Weight(("performance_weight", "error_weight")), "On the error, as a share of the reference."
-    ] = None,
-    W2: Annotated[Any, Weight(("control_weight",)), "On the control, in its own unit."] = None,
-    W3: Annotated[Any, Weight(("complementary_weight",)), "On the output, as a share of the reference."] = None,
     reference: Annotated[Any, Sizes(), "Size of the references in the outputs' units."] = 1.0,
-    reference_bandwidth: Annotated[float | None, Number(above=0), "rad/s, above which references get smaller."] = None,
     disturbance: Annotated[Any, Sizes(), "Size of the disturbance at the controls, in their units."] = None,
     loads: Annotated[
         dict[str, float] | None,
@@ -358,6 +296,7 @@ def tracking_problem(
     noise: Annotated[
         Any, Sizes(), 'Size of the noise on the measurements, in their units: { "*_ref" = 0.1, "phi_*" = 0.1 }.'
     ] = None,
+    **options: Any,
 ) -> Any:
     """A tracking problem: references that outputs follow, disturbances, noise, and weights on error and control.
 
@@ -374,9 +313,9 @@ def tracking_problem(
     forces = {name: size for name, size in (_sizes_of(loads, inputs) or {}).items() if "*" not in name}
     controls = [name for name in inputs if name not in forces]
     return pose(
-        G, controlled, measured, W1=W1, W2=W2, W3=W3, reference=_sizes_of(reference, controlled),
-        reference_bandwidth=reference_bandwidth, disturbance=_sizes_of(disturbance, controls), loads=forces,
-        noise=_sizes_of(noise, [*(f"{name}_ref" for name in controlled), *measured]),
+        G, controlled, measured, reference=_sizes_of(reference, controlled), loads=forces,
+        disturbance=_sizes_of(disturbance, controls),
+        noise=_sizes_of(noise, [*(f"{name}_ref" for name in controlled), *measured]), **options,
     )  # fmt: skip
 
 
@@ -414,10 +353,11 @@ def cascade(
     return two_layer(plant, p_up, p_low).upper if platform else actuator_cascade(plant, p_up, p_low)
 
 
-@operation("", "feed-forward", result="dynamics.extended.feed_forward.FeedForward", gives="feed-forward",
-           calls="dynamics.extended.feed_forward.feed_forward")  # fmt: skip
-def feed_forward(plant: Moved) -> Any:
-    """The input that a motion needs because of named effects, from its reference."""
+public(
+    "dynamics.extended.feed_forward.feed_forward", "", "feed-forward", gives="feed-forward",
+    result="dynamics.extended.feed_forward.FeedForward", kinds={"plant": Moved, "sigmas": None},
+    text="It is the input that a motion needs because of the effects, from its reference.",
+)  # fmt: skip
 
 
 @operation("", "robust-performance", result="analysis.performance.PerformanceComparison")
@@ -443,67 +383,52 @@ def compare_performance(
     return InLoop(found, beside=found.margins)
 
 
-RUNS = "dynamics.control.platform."
+RUNS, POSITIVE = "dynamics.control.platform.", Number(above=0)
+
+public(
+    RUNS + "follow_sine", "", "simulate-control", result=RUNS + "ControlledRuns",
+    kinds={
+        "plant": (Thing(("plant",)), "A linear plant."), "controllers": Controllers,
+        "controlled": (Names("outputs"), "Outputs that follow the reference."),
+        "measured": (Names("outputs"), "Outputs that the controllers see."),
+        "amplitude": (POSITIVE, "Of the reference, in the controlled output's unit."),
+        "omega": (POSITIVE, "Of the reference in rad/s."),
+        "rise_time": (POSITIVE, "s, in which the sine grows to its amplitude."),
+        "t_end": (POSITIVE, "End time in s."),
+        "after": (Number(least=0), "s from which on the error counts."),
+        "points": (Whole(2, 100_000), "Stored samples."),
+        "step": (POSITIVE, "s between samples of the reference; it is held between them."),
+        "effects": (
+            Keyed(dict[str, dict[str, float]]),
+            'As "coulomb-friction@omega" = { Fc = 3e-3 }, "input-dead-zone@u" = { d = 0.6 }.',
+        ),
+        "members": (Keyed(list[dict[str, float]]), "Parameters of further members of the set to simulate."),
+        "scale": (POSITIVE, "Factor from the controlled output to `unit`."),
+        "unit": "Unit of the errors; the controlled output's if left out.",
+        "limits": (Table(POSITIVE, "signals"), "Largest magnitude of a signal; compared, not clipped."),
+    },
+)  # fmt: skip
+public(
+    RUNS + "follow_path", "", "follow-trajectory", result=RUNS + "ControlledRuns",
+    kinds={
+        "plant": Moved, "controllers": Controllers,
+        "p_low": (POSITIVE, "Triple pole of the motors' torque loops in 1/s."),
+        "at": (Numbers("", 6), "Pose at the start; home, the trim point of the controllers, where left out."),
+        "scale": (POSITIVE, "Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad."),
+        "rise_time": (Number(least=0), "s, in which the sines grow."),
+        "t_end": (POSITIVE, "End time in s."),
+        "after": (Number(least=0), "s from which on the errors count."),
+        "points": (Whole(2, 100_000), "Stored samples."),
+    },
+    text="""With motors the controllers are upper layers with torques as outputs, above the motors' torque loops.
+Without, the machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles
+alone.""",
+)  # fmt: skip
 
 
-@operation("", "simulate-control", result=RUNS + "ControlledRuns", calls=RUNS + "follow_sine")
-def follow_sine(
-    plant: Annotated[Any, Thing(("plant",)), "A linear plant."],
-    controllers: Controllers,
-    controlled: Annotated[list[str], Names("outputs"), "Outputs that follow the reference."],
-    measured: Annotated[list[str], Names("outputs"), "Outputs that the controllers see."],
-    *,
-    amplitude: Annotated[float, Number(above=0), "Of the reference, in the controlled output's unit."],
-    omega: Annotated[float, Number(above=0), "Of the reference in rad/s."],
-    rise_time: Annotated[float, Number(above=0), "s, in which the sine grows to its amplitude."],
-    t_end: Annotated[float, Number(above=0), "End time in s."],
-    after: Annotated[float, Number(least=0), "s from which on the error counts."] = 0.0,
-    points: Annotated[int, Whole(2, 100_000), "Stored samples."] = 2001,
-    step: Annotated[float, Number(above=0), "s between samples of the reference; it is held between them."] = 1e-4,
-    effects: Annotated[
-        Any,
-        Keyed(dict[str, dict[str, float]]),
-        'As "coulomb-friction@omega" = { Fc = 3e-3 }, "input-dead-zone@u" = { d = 0.6 }.',
-    ] = None,
-    members: Annotated[
-        Any, Keyed(list[dict[str, float]]), "Parameters of further members of the set to simulate."
-    ] = (),
-    scale: Annotated[float, Number(above=0), "Factor from the controlled output to `unit`."] = 1.0,
-    unit: Annotated[str, "Unit of the errors; the controlled output's if left out."] = "",
-    limits: Annotated[
-        dict[str, float] | None,
-        Table(Number(above=0), "signals"),
-        "Largest magnitude of a signal; compared, not clipped.",
-    ] = None,
-) -> Any:
-    """A linear plant with effects under several controllers: tracking of a sine, also by members of the set."""
-
-
-@operation("", "follow-trajectory", result=RUNS + "ControlledRuns", calls=RUNS + "follow_path")
-def follow_path(
-    plant: Moved,
-    controllers: Controllers,
-    *,
-    p_low: Annotated[float, Number(above=0), "Triple pole of the motors' torque loops in 1/s."] = 3000.0,
-    at: Annotated[
-        Any, Numbers("", 6), "Pose at which the path begins; home, the trim point of the controllers, where left out."
-    ] = None,
-    scale: Annotated[float, Number(above=0), "Of the path: at 1 a lift of 5 mm, sines of 5 mm and 20 mrad."] = 1.0,
-    rise_time: Annotated[float, Number(least=0), "s, in which the sines grow."] = 0.0,
-    t_end: Annotated[float, Number(above=0), "End time in s."] = 5.0,
-    after: Annotated[float, Number(least=0), "s from which on the errors count."] = 3.0,
-    points: Annotated[int, Whole(2, 100_000), "Stored samples."] = 2501,
-) -> Any:
-    """The nonlinear Stewart platform under several controllers, following the path of section 9.1.3.
-
-    With motors the controllers are upper layers with torques as outputs, above the motors' torque loops. Without, the
-    machine takes their torques; it may have effects then, as after `discover`, and controllers may see angles alone.
-    """
-
-
-@operation("", "close-loop", result="synthesis.specifications.tracking.ClosedLoop", gives="uncertain",
+@operation("", "close-loop", result=f"{TRACKING}ClosedLoop", gives="uncertain",
       made="model", infer=_inferred_loop)  # fmt: skip
-def close_loop(system: System, controller: Controller, sign: Annotated[Sign, Named(option="--feedback")] = None) -> Any:
+def close_loop(system: System, controller: Controller, sign: Sign = None) -> Any:
     """The tracking loop of a controller around a model: reference in, the controlled outputs and controls out."""
     from robustlab.synthesis.specifications.tracking import ClosedLoop, tracking_loop, with_law
 

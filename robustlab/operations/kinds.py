@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import robustlab as rl
 from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean
 from robustlab.units import amount, share
 
@@ -35,8 +36,14 @@ def bounded(taken: Any, **bounds: Any) -> Any:
 
 @dataclass(frozen=True)
 class Kind:
-    """A text; base of the other kinds."""
+    """A text; base of the other kinds, with the names of the parameter where they differ from that in the function."""
 
+    _: KW_ONLY
+    argument: str = ""  # in Python
+    option: str = ""  # ``--filter-order``, or ``-k,--controller``
+    key: str = ""  # of a recipe; "of" for the first object of an operation where left out
+    only: str = ""  # "command" or "step", where only that one has the parameter
+    in_step: Any = None  # default of a recipe's key, where it differs from the command's; ``...``: required
     taken: ClassVar[Any] = str  # type that the command's parser gives
     metavar: ClassVar[str | None] = None
 
@@ -46,9 +53,7 @@ class Kind:
 
     def field(self) -> Any:
         """Return the type of a recipe's key."""
-        from robustlab.operations.vocabulary import Text
-
-        return Text
+        return bounded(str, max_length=2000)
 
     def of_field(self, given: Any) -> Any:
         """Return the value of a recipe's key."""
@@ -101,9 +106,26 @@ class Share(Number):
             return share(where, text)
 
     def field(self) -> Any:
-        from robustlab.operations.vocabulary import PriorTolerance, RelativeTolerance
+        from pydantic import ValidationError, WithJsonSchema, WrapValidator
+        from pydantic_core import PydanticCustomError
 
-        return PriorTolerance if self.below is None else RelativeTolerance
+        def read(value: Any, handler: Any) -> Any:
+            try:
+                number = share("", value)
+            except InputError as error:
+                raise PydanticCustomError("share", "expected {expected}", {"expected": error.expected}) from None
+            try:
+                return handler(number)
+            except ValidationError as error:
+                if isinstance(number, (int, float)) and error.errors()[0]["type"] == "less_than":
+                    text = "a share of the value should be less than 1; did you mean {meant}?"
+                    meant = f"{number:g}% = {number / 100:g}"
+                    raise PydanticCustomError("share", text, {"meant": meant}) from None
+                raise
+
+        limits = {"exclusiveMinimum": 0} | ({} if self.below is None else {"exclusiveMaximum": self.below})
+        schema = WithJsonSchema({"anyOf": [{"type": "number", **limits}, {"type": "string", "pattern": "%$"}]})
+        return Annotated[super().field(), WrapValidator(read), schema]
 
 
 @dataclass(frozen=True)
@@ -209,10 +231,8 @@ class Names(Kind):
         return [name for text in (given if self.repeated else [given]) for name in comma_separated(text)]
 
     def field(self) -> Any:
-        from robustlab.operations import vocabulary
-
-        taken: Any = vocabulary.Text if self.one else list[vocabulary.Text]
-        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+        taken: Any = super().field() if self.one else list[super().field()]
+        return Annotated[taken, self] if self.side else taken
 
 
 @dataclass(frozen=True)
@@ -225,9 +245,7 @@ class ByNumber(Kind):
         return None if given is None else int(given) if given.isdecimal() else comma_separated(given)
 
     def field(self) -> Any:
-        from robustlab.operations.vocabulary import Text
-
-        return bounded(int, ge=1) | bounded(list[Text], min_length=1, max_length=100)
+        return bounded(int, ge=1) | bounded(list[super().field()], min_length=1, max_length=100)
 
 
 @dataclass(frozen=True)
@@ -292,10 +310,8 @@ class Table(Kind):
         return found or None
 
     def field(self) -> Any:
-        from robustlab.operations import vocabulary
-
         taken = dict[str, self.value.field()]
-        return Annotated[taken, vocabulary.Names(self.side, self.of)] if self.side else taken
+        return Annotated[taken, self] if self.side else taken
 
     def of_field(self, given: Any) -> Any:
         return {name: self.value.of_field(value) for name, value in given.items()} if given else None
@@ -342,8 +358,6 @@ class Weight(Kind):
         from pydantic import AfterValidator
         from pydantic_core import PydanticCustomError
 
-        from robustlab.operations.vocabulary import Positive
-
         def check(given: dict[str, float]) -> dict[str, float]:
             try:
                 self.made("weight", given)
@@ -351,7 +365,7 @@ class Weight(Kind):
                 raise PydanticCustomError("weight", "{fault}", {"fault": str(error)}) from None
             return given
 
-        return Positive | Annotated[dict[str, float], AfterValidator(check)]
+        return bounded(float, gt=0) | Annotated[dict[str, float], AfterValidator(check)]
 
     def of_field(self, given: Any) -> Any:
         return self.made("weight", given) if isinstance(given, dict) else given
@@ -371,9 +385,7 @@ class Sizes(Kind):
     """A positive number for all signals, or one for each by its name; of a recipe alone."""
 
     def field(self) -> Any:
-        from robustlab.operations.vocabulary import Positive
-
-        return Positive | dict[str, Positive]
+        return bounded(float, gt=0) | dict[str, bounded(float, gt=0)]
 
 
 class Pair(NamedTuple):
@@ -408,11 +420,17 @@ class Thing(Kind):
 
     def field(self) -> Any:
         """Return the type of a reference to an earlier step."""
-        from robustlab.operations.vocabulary import RefersTo
-
-        name = Annotated[str, RefersTo(self.gives)]
+        name = Annotated[str, self]
         taken: Any = list[name] if self.many or self.named else name
         return float | taken if self.number else taken
+
+    def __get_pydantic_json_schema__(self, core_schema: Any, handler: Any) -> dict[str, Any]:
+        """Return the schema of a reference with a description, which a field's own replaces."""
+        kinds = " or ".join(", ".join(k for k in self.gives if k != "any").rsplit(", ", 1))
+        return {
+            "description": f"Name of an earlier step{f' that gives: {kinds}' if kinds else ''}.",
+            **handler(core_schema),
+        }
 
     def load(self, file: str, remark: Callable[[str], None], settings: Sequence[str] = (), **reading: Any) -> Any:
         """Return the object of a file, a `Pair` of two models, or a plant by its name; pass warnings to ``remark``."""
@@ -424,8 +442,6 @@ class Thing(Kind):
         if self.discovery and Path(file).is_dir():
             file = str(Path(file) / UPDATED_PLANT)
         if "plant" in self.gives or self.reading == "plant":
-            from robustlab.operations.reading import named_plant
-
             plant = named_plant(file, settings)
             if plant is not None:
                 return self.as_wanted(plant, file)
@@ -441,7 +457,6 @@ class Thing(Kind):
 
     def as_wanted(self, found: Any, where: str) -> Any:
         """Return the object converted for its function; raise where it has the wrong type."""
-        import robustlab as rl
         from robustlab.dynamics.plant_contract import Plant
         from robustlab.statespace import as_model
 
@@ -499,8 +514,81 @@ class RecordFile(Thing):
     reading: ClassVar[str] = "record"
 
     def as_wanted(self, found: Any, where: str) -> Any:
-        import robustlab as rl
-
         if not isinstance(found, rl.Record):
             raise InputError(where, f"a {type(found).__name__}", "a record")
         return found
+
+
+# --- plants named on the command line ---------------------------------------------------------------------------------
+
+
+def runs_code(name: str) -> bool:
+    """Return whether reading the plant runs a user's code: ``file.py:name``, or a unit of FMI."""
+    from robustlab.dynamics.plant_file import plant_reference, unit_reference
+
+    return bool(plant_reference(name) or unit_reference(name))
+
+
+def read_plant(name: str, parameters: Mapping[str, Any]) -> Any:
+    """Return the shipped plant, or the plant in a Python file (``file.py:name``, which is run) or an HDF5 file."""
+    from robustlab.storage.interchange import is_plant_file, load_plant
+
+    if is_plant_file(name) and not runs_code(name):
+        made = load_plant(name)
+        return made.with_parameters(**parameters) if parameters else made
+    if not runs_code(name):
+        _require_known(name)
+    return rl.plant(name, **parameters)
+
+
+def named_plant(name: str, settings: Sequence[str]) -> Any:
+    """Return the plant of a name or a user's code; None where the name is that of another file."""
+    from robustlab.dynamics import plant_names
+    from robustlab.storage.interchange import is_plant_file
+
+    if name in plant_names() or runs_code(name) or (settings and is_plant_file(name)):
+        return read_plant(name, plant_settings(settings))
+    if settings:
+        known = f"one of {', '.join(plant_names())}, or path/to/file.py:name"
+        raise UsageError(f"--set {settings[0]}", f"{name} is no plant", known, did_you_mean(name, plant_names()))
+    if not Path(name).suffix:
+        _require_known(name)
+    return None
+
+
+def plant_settings(texts: Sequence[str] | None) -> dict[str, Any]:
+    """Return ``["R=2.1", "preset=physical", "motors=true"]`` as keyword arguments of a plant."""
+    values: dict[str, Any] = {}
+    for text in texts or []:
+        name, equals, value = text.partition("=")
+        if not (name and equals and value):
+            raise UsageError(f"--set {text}", "no parameter and value", "NAME=VALUE")
+        words: dict[str, Any] = {"true": True, "false": False}
+        try:
+            values[name] = words[value] if value in words else float(value)
+        except ValueError:
+            values[name] = value  # a choice, such as a preset, which the plant checks
+    return values
+
+
+def made_of(name: str, thing: Any) -> dict[str, str]:
+    """Return file -> SHA-256 of the files read for a plant or model; empty for a shipped plant."""
+    from robustlab.provenance import code_of, file_sha256
+
+    return code_of(thing) or ({name: file_sha256(name)} if Path(name).is_file() else {})
+
+
+def _require_known(name: str) -> None:
+    """Raise on a name of neither a plant nor a file, with the nearest name of a plant or of a file in its folder."""
+    from robustlab.dynamics import plant_names
+
+    path = Path(name)
+    try:
+        if name in plant_names() or path.exists():
+            return
+        files = [str(file) for file in path.parent.iterdir()] if path.parent.is_dir() else []
+    except (OSError, ValueError):  # a name too long, a NUL in it, a folder that may not be read
+        files = []
+    known = f"one of {', '.join(plant_names())}, a file, path/to/file.py:name or path/to/machine.fmu"
+    hint = did_you_mean(name, [*plant_names(), *files]) or "robustlab plant list"
+    raise InputError(name, "no such plant, and no such file", known, hint)

@@ -9,34 +9,25 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Choice, Keyed, Names, Number, Table, TextFile, Whole
-from robustlab.operations.words import Search, Seed, Uncertain
+from robustlab.operations.declaration import InLoop, operation, public
+from robustlab.operations.kinds import Choice, Keyed, Kind, Names, Number, Table, TextFile, Whole
+from robustlab.operations.words import Seed, Uncertain
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
 )  # fmt: skip
 Metric = Annotated[str, Choice(METRICS), "What is judged."]
-Output = Annotated[
-    str | None,
-    Names("outputs", one=True),
-    "The output, where there are several.",
-    Named(option="--outputs", key="output"),
-]
+Output = Annotated[str | None, Names("outputs", one=True, option="--outputs"), "The output, where there are several."]
 FromInput = Annotated[
-    str | None,
-    Names("inputs", one=True),
-    "For norms: the input; all if left out.",
-    Named(option="--inputs", key="from_input"),
+    str | None, Names("inputs", one=True, option="--inputs"), "For norms: the input; all if left out."
 ]
 Drive = Annotated[
     dict[str, Any] | None,
-    Table(Number(), "inputs"),
+    Table(Number(), "inputs", argument="u", option="--input-value"),
     "Constant input, u=42 or u=42V; repeatable. A unit step on the only input where left out.",
-    Named(argument="u", option="--input-value"),
 ]
 Sine = Annotated[dict[str, Any] | None, Table(Number(), "inputs"), "Amplitude of a sine on an input, likewise."]
-Frequency = Annotated[float | None, Number("Hz", above=0), "Of the sine, in Hz.", Named(option="--sine-frequency")]
+Frequency = Annotated[float | None, Number("Hz", above=0, option="--sine-frequency"), "Of the sine, in Hz."]
 End = Annotated[float | None, Number("s", above=0), "End time in s; from the nominal poles if left out."]
 Points = Annotated[int, Whole(2, 100_000), "Number of times, where an end is given."]
 
@@ -70,7 +61,8 @@ class Excitation:
 
         if not isinstance(uncertain, rl.UncertainModel):
             raise InputError("members", f"a {type(uncertain).__name__}", "an uncertain model")
-        _check_sine(self.sine, self.frequency)
+        if bool(self.sine) != (self.frequency is not None):
+            raise UsageError("sine", "one of sine and frequency", "both: sine and frequency belong together")
         steps, sines, dt, t_end = self.input or {}, self.sine or {}, uncertain.dt, self.t_end
         if t_end is None:
             if sines:
@@ -86,46 +78,36 @@ class Excitation:
         return {"t": t, "u": u, "hold": "foh"}
 
 
-@operation("worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase")
-def worst_case(
-    uncertain: Uncertain,
-    *,
-    judged: Judged,
-    drive: Excitation,
-    n: Annotated[int, Whole(1, 100_000), "Points that the search starts from.", Named(option="-n,--samples")] = 256,
-    seed: Seed = 0,
-    search: Search,
-) -> Any:
+@operation(
+    "worst-case", "worst-case", result="worst_case_analysis.worst_case_search.WorstCase",
+    public="worst_case_analysis.worst_case_search.worst_case", kinds={"n": Whole(1, 100_000, option="-n,--samples")},
+)  # fmt: skip
+def worst_case(uncertain: Uncertain, *, judged: Judged, drive: Excitation, **options: Any) -> Any:
     """The worst member that a search over all normalised Delta finds, with its Delta; a lower bound, not a guarantee.
 
     Example: robustlab worst-case uncertain.h5 --metric peak-deviation --outputs omega --input-value u=42 --t-end 0.1
     """
-    options: dict[str, Any] = {**judged.options, **drive.of(uncertain), **vars(search)}
-    return rl.worst_case(uncertain, judged.metric, n=n, seed=seed, **options)
+    return rl.worst_case(uncertain, judged.metric, **judged.options, **drive.of(uncertain), **options)
 
 
 @operation(
-    "violation-probability",
-    "violation-probability",
-    result="worst_case_analysis.statistics.ViolationProbability",
-)
+    "violation-probability", "violation-probability", result="worst_case_analysis.statistics.ViolationProbability",
+    public="worst_case_analysis.statistics.violation_probability",
+    kinds={
+        "probability": (
+            Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
+        ),
+        "n": Whole(1, 10_000_000, option="-n,--samples"),
+    },
+)  # fmt: skip
 def violation_probability(
     uncertain: Uncertain,
     *,
     limit: Annotated[Any, Keyed(float), "Limit whose violations are counted, such as '0.5 rad'."],
     judged: Judged,
-    unit: Annotated[str | None, "Unit of the limit, which must be that of the metric.", Named(only="step")] = None,
-    probability: Annotated[
-        float | None, Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
-    ] = None,
+    unit: Annotated[str | None, Kind(only="step"), "Unit of the limit, which must be that of the metric."] = None,
     drive: Excitation,
-    n: Annotated[
-        int | None,
-        Whole(1, 10_000_000),
-        "Samples; as many as show the probability without a violation, or 1000, where left out.",
-        Named(option="-n,--samples"),
-    ] = None,
-    seed: Seed = 0,
+    **options: Any,
 ) -> Any:
     """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
@@ -133,16 +115,9 @@ def violation_probability(
 
     Example: robustlab violation-probability set.h5 --limit "9 rad/s" --outputs omega --input-value u=42 --t-end 0.1
     """
-    options: dict[str, Any] = {**judged.options, **drive.of(uncertain)}
-    return rl.violation_probability(
-        uncertain, judged.metric, limit if unit is None else f"{limit!r} {unit}", n=n, seed=seed,
-        probability=probability, **options,
-    )  # fmt: skip
-
-
-def _check_sine(sines: Any, frequency: float | None) -> None:
-    if bool(sines) != (frequency is not None):
-        raise UsageError("sine", "one of sine and frequency", "both: sine and frequency belong together")
+    given = limit if unit is None else f"{limit!r} {unit}"
+    driven = drive.of(uncertain)
+    return rl.violation_probability(uncertain, judged.metric, given, **judged.options, **driven, **options)
 
 
 # --- samples and campaigns --------------------------------------------------------------------------------------------
@@ -158,14 +133,27 @@ def show(uncertain: Uncertain) -> Any:
     return InLoop(uncertain, beside={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
 
 
-@operation("uncertain sample", result="worst_case_analysis.sampling.Responses")
+class Vertices(Kind):
+    """A number of vertices; in a command also ``all``."""
+
+    def read(self, option: str, given: Any) -> Any:
+        if given != "all" and not given.isdecimal():
+            raise UsageError(option, given, "a whole number, or all")
+        return given if given == "all" else int(given)
+
+    def field(self) -> Any:
+        return Whole().field()
+
+
+@operation("uncertain sample", "sample", result="worst_case_analysis.sampling.Responses")
 def sample(
     uncertain: Uncertain,
     *,
-    n: Annotated[int, Whole(0, 1_000_000), "Number of random samples.", Named(option="-n,--samples")] = 20,
+    n: Annotated[int, Whole(0, 1_000_000, option="-n,--samples"), "Number of random samples."] = 20,
     seed: Seed = 0,
-    vertices: Annotated[str, "Vertices to add: a number, or all."] = "0",
+    vertices: Annotated[Any, Vertices(), "Vertices to add: a number, or all."] = 0,
     drive: Excitation,
+    outputs: Annotated[list[str] | None, Names("outputs", only="step"), "All where left out."] = None,
 ) -> Any:
     """Time responses of random members and vertices: nominal, envelope, and the sample farthest from nominal.
 
@@ -173,18 +161,16 @@ def sample(
     """
     from robustlab.dynamics.simulation import default_clock
 
-    if vertices != "all" and not vertices.isdecimal():
-        raise UsageError("--vertices", vertices, "a whole number, or all")
     driven = drive.of(uncertain)
     if driven["t"] is None:
         driven["t"] = default_clock(uncertain.nominal, "uncertain sample")
-    members = rl.sample(uncertain, n, seed, "all" if vertices == "all" else int(vertices))
+    members = rl.sample(uncertain.select(None, outputs) if outputs else uncertain, n, seed, vertices)
     return InLoop(members.respond(**driven), beside={"seed": seed, "vertices": members.vertices})
 
 
 RESULT, STORE = "campaign.campaign_result.CampaignResult", "Store of a campaign (SQLite)."
 Store = Annotated[str, TextFile(), STORE]
-Bound = Annotated[float | None, Number(), "Count how often the metric is worse than this.", Named(option="--limit")]
+Bound = Annotated[float | None, Number(), "Count how often the metric is worse than this."]
 
 
 @dataclass(frozen=True)
@@ -192,9 +178,10 @@ class WorkerOptions:
     """The processes that compute."""
 
     workers: Annotated[
-        int | None, Whole(1, 1024), "Processes on this machine; one per processor where left out.",
-        Named(option="--workers,-w"),
-    ] = None  # fmt: skip
+        int | None,
+        Whole(1, 1024, option="--workers,-w"),
+        "Processes on this machine; one per processor where left out.",
+    ] = None
     cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
 
     def crew(self) -> Any:
@@ -230,11 +217,10 @@ def _counted(progress: Any, store: str, n: int) -> Iterator[Any]:
 def campaign(
     uncertain: Uncertain,
     *,
-    store: Annotated[str, TextFile(), "SQLite file to write; an unfinished one is continued.",
-                     Named(option="--store")],
+    store: Annotated[str, TextFile(option="--store"), "SQLite file to write; an unfinished one is continued."],
     judged: Judged,
     drive: Excitation,
-    n: Annotated[int, Whole(1, 10**9), "Number of samples, vertices or searches.", Named(option="-n,--samples")] = 1000,
+    n: Annotated[int, Whole(1, 10**9, option="-n,--samples"), "Number of samples, vertices or searches."] = 1000,
     kind: Annotated[Literal["samples", "vertices", "search"], "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
@@ -242,7 +228,7 @@ def campaign(
     restart: Annotated[bool, "Delete the content of the store and start again."] = False,
     limit: Bound = None,
     progress: Any = None,
-) -> Any:  # fmt: skip
+) -> Any:
     """Compute a metric for n members of an uncertain model; the same result however often the run is interrupted.
 
     A sample that raises is lost, the others are kept. Exit code 4: more than 1 % are lost, or the worst sample could
@@ -283,11 +269,9 @@ def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progres
         return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
 
 
-@operation("campaign show", result=RESULT, calls="campaign.runs.read_campaign")
-def stored(store: Store, limit: Bound = None) -> Any:
-    """The content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it.
+public(
+    "campaign.runs.read_campaign", "campaign show", result=RESULT, kinds={"store": Store, "limit": Bound},
+    text="""Exit code 4 as long as samples are missing.
 
-    Exit code 4 as long as samples are missing.
-
-    Example: robustlab campaign show motor.sqlite --limit 34
-    """
+Example: robustlab campaign show motor.sqlite --limit 34""",
+)  # fmt: skip

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
-from robustlab.operations.declaration import InLoop, Named, operation
+from robustlab.operations.declaration import InLoop, operation
 from robustlab.operations.kinds import (
     Choice,
     Ends,
+    Flag,
     Keyed,
     Names,
     Number,
@@ -24,7 +24,7 @@ from robustlab.operations.kinds import (
     Whole,
     bounded,
 )
-from robustlab.operations.words import Controller, Model, Outputs, Search, Sign, System
+from robustlab.operations.words import Controller, Model, Outputs, Sign, System
 
 COVERS = (
     "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
@@ -58,9 +58,8 @@ At = Annotated[
 ]
 Pose = Annotated[
     tuple[float, ...] | None,
-    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ"),
+    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ", only="command"),
     "Pose of a platform in m and rad; home if left out.",
-    Named(only="command"),
 ]
 
 
@@ -75,7 +74,7 @@ def at_rest(plant: Any, at: Any, pose: Any) -> Any:
     return list(pose) if pose is not None else at
 
 
-@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer="of")
+@operation("model build", "linearise", result="statespace.StateSpaceModel", gives="model", infer=("of", "of"))
 def linearise(
     plant: Plant,
     at: At = None,
@@ -102,7 +101,8 @@ def linearise(
     if outputs is not None:
         model = drop_unconnected(model.select(outputs=outputs))
     missing = plant.left_out(point, amplitude or {}, pade) if isinstance(plant, SteppedPlant) else ()
-    return InLoop(model, notes=left_out(missing), beside=_place(at, pose))
+    notes = tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
+    return InLoop(model, notes=notes, beside=_place(at, pose))
 
 
 def _place(at: Any, pose: Any) -> dict[str, str]:
@@ -110,11 +110,6 @@ def _place(at: Any, pose: Any) -> dict[str, str]:
         return {"rest": ", ".join(f"{name} = {value:g}" for name, value in at.items())}
     given = pose if pose is not None else at
     return {"pose": ", ".join(f"{value:g}" for value in given)} if given is not None else {}
-
-
-def left_out(missing: Any) -> tuple[str, ...]:
-    """Return a line for each effect that is not in a model."""
-    return tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
 
 
 @operation("model check", "structural", result="linear_analysis.structural.Structure")
@@ -136,19 +131,11 @@ def check(system: System) -> Any:
     return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
 
 
-def _inferred_steady_state(step: Any, ahead: Any) -> Any:
-    kept = ahead[step.of].select(step.outputs).outputs
-    return replace(ahead[None], leaves={"outputs": {"*": float} if kept is None else dict(kept)})
-
-
-@operation("", "steady-state", result="linear_analysis.frequency.SteadyState", infer=_inferred_steady_state)
+@operation("", "steady-state", result="linear_analysis.frequency.SteadyState")
 def steady_state(
     model: Model,
     inputs: Annotated[
-        dict[str, Any],
-        Table(Number(), "inputs"),
-        "Constant input, u=42 or u=42V; repeatable.",
-        Named(option="--input-value"),
+        dict[str, Any], Table(Number(), "inputs", option="--input-value"), "Constant input, u=42 or u=42V; repeatable."
     ],
     outputs: Outputs = None,
 ) -> Any:
@@ -163,9 +150,8 @@ def diff(
     first: Annotated[Any, Thing(ANY, model=True, pair=True), "HDF5 or MATLAB file."],
     second: Annotated[
         Any,
-        Thing(ANY, model=True, positional=True),
+        Thing(ANY, model=True, positional=True, key="beside"),
         "The other file; left out where the first one holds a nominal and a perturbed model.",
-        Named(key="beside"),
     ] = None,
 ) -> Any:
     """The entries in which two models differ.
@@ -197,14 +183,11 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
     result="uncertainty.elementwise.BuiltModel",
     gives="uncertain",
     made="model",
-    infer="nominal",
+    infer=("nominal", "nominal"),
 )
 def elementwise(
     nominal: Annotated[
-        Any,
-        Thing(ANY, pair=True),
-        "Nominal model; or one file with groups nominal and perturbed.",
-        Named(key="nominal"),
+        Any, Thing(ANY, pair=True, key="nominal"), "Nominal model; or one file with groups nominal and perturbed."
     ],
     perturbed: Annotated[
         Any, Thing(ANY, model=True, positional=True), "Maximally perturbed model of the same signals."
@@ -235,22 +218,20 @@ def elementwise(
 
 
 @operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
-      infer="of")  # fmt: skip
+      infer=("of", "of"))  # fmt: skip
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
     tolerances: Annotated[
         dict[str, Any] | None,
-        Table(Share(above=0, below=1), "parameters"),
+        Table(Share(above=0, below=1), "parameters", option="--tolerance"),
         "Relative tolerance of a plant's parameter, Km=0.05 or Km=5%; repeatable.",
-        Named(option="--tolerance"),
     ] = None,
     ranges: Annotated[
         dict[str, Any] | None,
-        Table(Ends(), "parameters", words="NAME=LOW:HIGH"),
+        Table(Ends(), "parameters", words="NAME=LOW:HIGH", option="--range"),
         "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
-        Named(option="--range"),
     ] = None,
-    own: Annotated[bool, "Keep the plant's own tolerances of the other parameters.", Named(in_step=False)] = True,
+    own: Annotated[bool, Flag(in_step=False), "Keep the plant's own tolerances of the other parameters."] = True,
     outputs: Outputs = None,
     at: At = None,
     pose: Pose = None,
@@ -299,41 +280,30 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
     return InLoop(BuiltModel(model, "parameters", None), notes=() if model.blocks else (NOTHING,))
 
 
-def _inferred_cover(step: Any, ahead: Any) -> Any:
-    source = ahead[step.of or next(iter(step.models or ()), None)]
-    return replace(
-        source.select(None), inputs=None, leaves={**type(step).leaves, "loads": {"*": float}}
-    )  # loads come before its inputs
-
-
-@operation("uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain",
-           made="model", infer=_inferred_cover)  # fmt: skip
+@operation(
+    "uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model",
+    infer=("", "of models"), numbers={"loads": {"*": float}}, public="mu_analysis.margins.cover.cover",
+    kinds={
+        "form": (Choice(COVERS), "Of the cover."), "tolerance": Number(least=0, below=1, only="step"),
+        "gain": (Flag(only="step", key="conservatism"), "Compare the worst gain of the cover with that of the set."),
+    },
+)  # fmt: skip
 def cover(
     models: Annotated[
-        Any, Thing(ANY, model=True, many=True, positional=True), "Models to cover; at least two.", Named(key="models")
+        Any, Thing(ANY, model=True, many=True, positional=True, key="models"), "Models to cover; at least two."
     ] = None,
     plant: Annotated[
-        Any, Thing(("plant", "any")), "A mechanism, linearised at each of `poses`.", Named(key="of", only="step")
+        Any, Thing(("plant", "any"), key="of", only="step"), "A mechanism, linearised at each of `poses`."
     ] = None,
     poses: Annotated[
-        Any, Keyed(list[list[float]]), "Operating points: tx, ty, tz in m, ax, ay, az in rad.", Named(only="step")
+        Any, Keyed(list[list[float]], only="step"), "Operating points: tx, ty, tz in m, ax, ay, az in rad."
     ] = (),
     *,
-    form: Annotated[str, Choice(COVERS), "Of the cover."] = "elements",
-    tolerance: Annotated[
-        float, Number(least=0, below=1), "Allowed error of an entry: pca needs fewer directions.", Named(only="step")
-    ] = 1e-9,
     controller: Annotated[
-        Controller | None,
-        "A controller, with its sign: the cover's worst gain is that of its loop.",
-        Named(option="--controller,-k"),
+        Controller | None, "A controller, with its sign: the cover's worst gain is that of its loop."
     ] = None,
-    sign: Annotated[Sign, Named(option="--feedback")] = None,
-    gain: Annotated[
-        bool, "Compare the worst gain of the cover with that of the set.", Named(only="step", key="conservatism")
-    ] = True,
-    search: Search,
-    progress: Any = None,
+    sign: Sign = None,
+    **options: Any,
 ) -> Any:
     """The smallest uncertain model of a form that contains a set of models, with its conservatism.
 
@@ -355,7 +325,7 @@ def cover(
 
         around, closed, words = feedback_loop(models[0], controller, sign, "cover", None)
         loop = lambda g: g.feedback(around, closed)  # noqa: E731
-    found = rl.cover(models, form, tolerance=tolerance, loop=loop, gain=gain, progress=progress, **vars(search))
+    found = rl.cover(models, loop=loop, **options)
     loads = at_poses[0][1] if at_poses else ()
     numbers = {"loads": {load.name: load.bound for load in loads}}
     return InLoop(found, words, tuple(load.in_words for load in loads), numbers=numbers)
@@ -370,41 +340,33 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
     return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
 
 
-def _inferred_blocks(step: Any, ahead: Any) -> Any:
-    # Bounded errors come before its inputs.
-    return replace(ahead[step.of].select(step.outputs), inputs=None, leaves=type(step).leaves)
-
-
 @operation(
-    "uncertain discovery",
-    "uncertain-from",
-    result="dynamics.extended.effect_blocks.EffectBlocks",
-    gives="uncertain",
-    made="model",
-    infer=_inferred_blocks,
-)
+    "uncertain discovery", "uncertain-from", result="dynamics.extended.effect_blocks.EffectBlocks", gives="uncertain",
+    made="model", infer=("", "of"), public="identification.missing_effects.updated_plant.uncertain_from",
+    kinds={
+        "amplitude": (
+            Table(Ends(least=0, single=True)),
+            "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
+        ),
+        "dry": (
+            Choice(("gain", "load", "both")),
+            "Bounded forces: load, an exact input; gain, of the describing function, as with an amplitude; or both.",
+        ),
+    },
+)  # fmt: skip
 def uncertain_from(
     discovery: Annotated[
         Any, Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."
     ],
     outputs: Outputs = None,
-    amplitude: Annotated[
-        dict[str, Any] | None,
-        Table(Ends(least=0, single=True)),
-        "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
-    ] = None,
-    dry: Annotated[
-        Literal["gain", "load", "both"] | None,
-        "Dry friction and other bounded forces: load, an input, exact at any speed; gain, that of the describing "
-        "function; where left out, a gain where an amplitude is given, else a load.",
-    ] = None,
+    **options: Any,
 ) -> Any:
     """Uncertain model of the effects and the residual of a discovery; each block has its origin.
 
     Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
     """
     try:
-        return rl.uncertain_from(discovery, outputs, amplitude=amplitude, dry=dry)
+        return rl.uncertain_from(discovery, outputs, **options)
     except InputError as error:
         if "amplitude" in (error.expected or "") and error.hint:
             raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None

@@ -8,13 +8,12 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import UsageError
-from robustlab.operations.declaration import InLoop, Named, operation
-from robustlab.operations.kinds import Number
+from robustlab.operations.declaration import InLoop, operation
+from robustlab.operations.kinds import Flag, Number
 from robustlab.operations.words import Frequency, Loop, Search, Seed, Signals, System, Uncertain
 
-AT = "mu_analysis.margins.at_frequencies."
-Accuracy = Annotated[float, Number(above=0, below=1), "Relative distance to the best margin that D, G can prove."]
-Intervals = Annotated[bool, "Print the proved frequency intervals.", Named(only="command")]
+AT, GAINS = "mu_analysis.margins.at_frequencies.", "analysis.gains_and_margins."
+Intervals = Annotated[bool, Flag(only="command"), "Print the proved frequency intervals."]
 
 
 # --- margins of a loop ------------------------------------------------------------------------------------------------
@@ -23,15 +22,16 @@ Intervals = Annotated[bool, "Print the proved frequency intervals.", Named(only=
 At = Annotated[Literal["input", "output", "both"], "Where gain and phase change."]
 
 
-@operation("model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins")
+@operation(
+    "model margins", "disk-margin", result="mu_analysis.margins.disk_margin.DiskMargins",
+    public=f"{GAINS}disk_margin", kinds={"frequency": Frequency},
+)  # fmt: skip
 def disk_margin(
     plant: Annotated[System, "HDF5 or MATLAB file with the plant, or the open loop."],
     *,
     around: Loop,
     at: At = "output",
-    frequency: Frequency = None,
-    search: Search,
-    seed: Seed = 0,
+    **options: Any,
 ) -> Any:
     """Disk margins of a loop with the worst gain and phase.
 
@@ -39,7 +39,7 @@ def disk_margin(
 
     Example: robustlab model margins plant.h5 --controller K.h5 --at both
     """
-    return _of_loop(rl.disk_margin, plant, around, at=at, frequency=frequency, seed=seed, **vars(search))
+    return _of_loop(rl.disk_margin, plant, around, at=at, **options)
 
 
 @operation("model classical-margins", "classical-margins", result="mu_analysis.margins.classical.ClassicalMargins")
@@ -83,17 +83,19 @@ def _grid(system: Any, drawn: bool) -> Any:
     return default_grid(system.M, 60) if curves else None
 
 
-@operation("mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt")
+@operation(
+    "mu", "robust-stability", result=f"mu_analysis.axis.margin.Margin, {AT}MarginAt",
+    public=f"{GAINS}robust_stability",
+    kinds={"accuracy": (Number(above=0, below=1), "Relative distance to the best margin that D, G can prove.")},
+)  # fmt: skip
 def robust_stability(
     system: Uncertain,
     *,
     around: Loop,
     frequency: Frequency = None,
-    accuracy: Accuracy | None = None,
-    search: Search,
-    seed: Seed = 0,
     intervals: Intervals = False,
     drawn: bool = False,
+    **options: Any,
 ) -> Any:
     """Robust stability margin (1 / mu) over the whole frequency axis, with the critical Delta.
 
@@ -104,12 +106,11 @@ def robust_stability(
     from robustlab.mu_analysis.axis.margin import Margin, replay
 
     loop, words = around.around(system, "robust stability")
-    options: dict[str, Any] = {"omega": _grid(loop, drawn), "accuracy": accuracy}
-    if frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData):
-        del options["omega"]
-        if intervals:
-            raise UsageError("mu", "--intervals at given frequencies", "the margin")
-    found: Any = rl.robust_stability(loop, frequency=frequency, **vars(search), seed=seed, **options)
+    at = frequency is not None or issubclass(type(loop), rl.UncertainFrequencyData)
+    if at and intervals:
+        raise UsageError("mu", "--intervals at given frequencies", "the margin")
+    curves = {} if at else {"omega": _grid(loop, drawn)}
+    found: Any = rl.robust_stability(loop, frequency=frequency, **options, **curves)
     beside: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
         try:

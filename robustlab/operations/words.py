@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.operations.declaration import Named
-from robustlab.operations.kinds import Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
+from robustlab.operations.kinds import ByNumber, Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]
@@ -16,12 +15,11 @@ Plant = Annotated[Any, Machine(), "Model file, name of a plant, or file.py:name.
 UncertainPlant = Annotated[Any, Machine(("uncertain", "any")), "Uncertain model: a file, or a plant with tolerances."]
 Moved = Annotated[Any, Thing(("plant", "any")), "A discover step, or a plant with effects."]
 Measured = Annotated[Any, RecordFile(), "Record: HDF5, MATLAB, CSV or TXT file."]
-Controller = Annotated[Any, Thing(("controller", "any")), "File with the controller."]
+Controller = Annotated[Any, Thing(("controller", "any"), option="--controller,-k"), "File with the controller."]
 Sign = Annotated[
     Any,
-    Feedback(),
+    Feedback(option="--feedback"),
     "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
-    Named(argument="sign"),
 ]
 Effort = Annotated[float, Number(above=0, most=10_000), "Work allowed for the search, as a multiple of the usual."]
 TimeLimit = Annotated[
@@ -31,7 +29,11 @@ Seed = Annotated[int, Whole(0, 2**63 - 1), "Seed of the random numbers; same see
 Frequency = Annotated[list[float] | None, Numbers("rad/s"), "At these frequencies only, rad/s: 1,10; or 2Hz."]
 Inputs = Annotated[list[str] | None, Names("inputs"), "Inputs to keep; all if left out."]
 Outputs = Annotated[list[str] | None, Names("outputs"), "Outputs to keep; all if left out."]
-SampleTime = Annotated[float, Number(above=0), "Sample time in s."]
+Channel = Annotated[Any, ByNumber()]
+
+
+# Parameters of public functions that every operation passes on.
+COMMON: dict[str, Any] = {"effort": Effort, "time_limit": TimeLimit, "seed": Seed, "progress": ()}
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,6 @@ class Signals:
     outputs: Outputs = None
 
     def of(self, system: Any) -> Any:
-        """Return the system between these."""
         if self.inputs is None and self.outputs is None:
             return system
         if hasattr(system, "select"):
@@ -63,8 +64,8 @@ class Signals:
 class Loop:
     """A controller around the system."""
 
-    controller: Annotated[Controller | None, Named(option="--controller,-k")] = None
-    sign: Annotated[Sign, Named(option="--feedback")] = None
+    controller: Controller | None = None
+    sign: Sign = None
 
     def around(self, system: Any, where: str) -> tuple[Any, str]:
         """Return the closed loop and its description, or the system without a controller."""

@@ -5,10 +5,9 @@ from robustlab.lazily import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "load": "MAX_BYTES find_file load_recipe parse_recipe recipe_path",
+        "load": "MAX_BYTES find_file load_recipe look_through parse_recipe recipe_path",
         "run": "read_result run_recipe write_report",
         "schema": "Recipe Requirement json_schema judge look_up",
-        "check": "look_through",
-        "steps.contract": "Fact KINDS look_ahead Outcome Step Workspace step",
+        "steps.contract": "Fact KINDS look_ahead Outcome Positive Step ToModel Workspace step",
     },
 )

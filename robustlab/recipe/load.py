@@ -6,23 +6,24 @@ A recipe is untrusted data: nothing in it is evaluated, and its size is limited.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import ValidationError
 
-from robustlab.errors import InputError, UsageError, did_you_mean
+import robustlab as rl
+from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean, rewritten, unknown_name
 from robustlab.files.signature import parse_document
-from robustlab.operations.vocabulary import RefersTo
+from robustlab.operations.declaration import STEPS, in_toml
+from robustlab.operations.kinds import Names, Table, Thing
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
 from robustlab.recipe.shipped import shipped_folder, shipped_recipes
-from robustlab.recipe.steps.contract import KINDS, Step
-from robustlab.recipe.steps.models import LoadStep, PlantStep
-from robustlab.recipe.steps.records import RecordStep
+from robustlab.recipe.steps.contract import KINDS, Ahead, Inferred, Step, look_ahead
+from robustlab.units import same_unit
 
-Mark = TypeVar("Mark")
 MAX_BYTES = 1 << 20
 MAX_FAULTS_SHOWN = 50
 
@@ -45,7 +46,6 @@ class LoadedRecipe:
 
 
 def load_recipe(path: str | Path, overrides: Sequence[str] = ()) -> LoadedRecipe:
-    """Read and check a recipe file."""
     file = Path(path)
     if file.suffix.lower() in _REFUSED:
         raise InputError(str(path), f"a {file.suffix} file: {_REFUSED[file.suffix.lower()]}", "a .toml recipe")
@@ -137,7 +137,6 @@ def _known_keys(loc: tuple[Any, ...]) -> list[str]:
 
 
 def _reference_faults(recipe: Recipe) -> list[str]:
-    """Return the faults of references: steps refer to earlier steps that give what they need, requirements to any."""
     faults: list[str] = []
     earlier: dict[str, Step] = {}
     for name, step in recipe.step.items():
@@ -169,7 +168,7 @@ def _reference_faults(recipe: Recipe) -> list[str]:
 def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return each reference of a step: its key, the step it names, and what that step must give."""
     found: list[tuple[str, str, tuple[str, ...]]] = []
-    for name, mark in marked(step, RefersTo):
+    for name, mark in marked(step, Thing):
         target = getattr(step, name)
         if isinstance(target, list):
             found += [(f"{name}.{i}", item, mark.gives) for i, item in enumerate(target)]
@@ -178,9 +177,9 @@ def references(step: Step) -> list[tuple[str, str, tuple[str, ...]]]:
     return found
 
 
-def marked(step: Step, kind: type[Mark]) -> list[tuple[str, Mark]]:
+def marked(step: Step, kind: Any) -> list[tuple[str, Any]]:
     """Return the fields of a step that have a mark of this kind, each with its first one."""
-    found: list[tuple[str, Mark]] = []
+    found: list[tuple[str, Any]] = []
     for name, field in type(step).model_fields.items():
         # An optional field keeps its mark inside the union, a list of references inside the list.
         marks = [m for m in (*field.metadata, *_metadata(field.annotation)) if isinstance(m, kind)]
@@ -246,16 +245,14 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
     in the working directory first. Models and Python files of plants must be in the recipe's folder or the folder above
     it, unless given with ``--set``.
     """
-    key, given = _named_file(step)
+    key, given = step.reads
     if given is None:
         return None
     typed = any(k.removeprefix("step.") == f"{name}.{key}" for k in loaded.overrides)
-    measured = isinstance(step, RecordStep)
-    about = step.about if measured else ""
-    path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, about)
+    path = _find(f"{loaded.path.name}: step.{name}.{key}", given, loaded.path.parent, typed, getattr(step, "about", ""))
     folder = loaded.path.parent
     roots = [folder, folder.parent] if folder.parent.parent != folder.parent else [folder]  # never the whole disk
-    if measured or typed or any(path.is_relative_to(root) for root in roots):
+    if step.gives == "record" or typed or any(path.is_relative_to(root) for root in roots):
         return path
     raise InputError(
         loaded.path.name,
@@ -263,18 +260,6 @@ def find_file(loaded: LoadedRecipe, name: str, step: Step) -> Path | None:
         f"a file in {' or '.join(map(str, roots))}",
         f"to read it all the same, type --set {name}.{key}={given}",
     )
-
-
-def _named_file(step: Step) -> tuple[str, str | None]:
-    """Return the key of the step that names a file, and the file or None."""
-    if isinstance(step, PlantStep):
-        from robustlab.dynamics.plant_file import plant_reference, unit_reference
-
-        if unit_reference(step.plant):
-            return "plant", step.plant
-        parts = plant_reference(step.plant)
-        return "plant", parts and parts[0]
-    return "path", step.path if isinstance(step, (LoadStep, RecordStep)) else None
 
 
 def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path:
@@ -312,3 +297,120 @@ def recipe_path(given: str) -> Path:
     raise InputError(
         given, "neither a file nor a recipe that comes with robustlab", f"a path, or one of {', '.join(names)}", hint
     )
+
+
+# --- checks before the first step: files, signals, units and required results ----------------------------------------
+# What needs a computation is not checked (`robustlab.recipe.steps.contract.Step.infer`).
+
+# Objects that a loaded file may hold, and those that a step may require.
+HELD = (rl.StateSpaceModel, rl.UncertainModel, rl.Controller, rl.Record)
+WANTED: dict[str, type] = {"uncertain": rl.UncertainModel, "record": rl.Record}
+
+
+def look_through(loaded: LoadedRecipe) -> Ahead:
+    """Infer what each step will give before anything runs; raise all faults found."""
+    recipe = loaded.recipe
+    sources: dict[str, Path] = {}
+    ahead = Ahead(sources)
+    faults: list[RobustlabError] = []
+    for name, step in recipe.step.items():
+        ahead.step, ahead.steps[name] = name, Inferred()
+        try:
+            path = find_file(loaded, name, step)
+        except RobustlabError as error:
+            faults.append(error)
+            continue
+        if path is not None:
+            sources[name] = path
+        wrong: list[RobustlabError] = [*_wrong_kinds(step, ahead), *_wrong_names(step, ahead)]
+        if not any(fault.where.startswith((".inputs", ".outputs")) for fault in wrong):  # else it gave wrong names
+            try:
+                ahead.steps[name] = step.infer(ahead)
+            except RobustlabError as error:
+                wrong = wrong or [error]
+        faults += [at_step(fault, loaded, name) for fault in wrong]
+    for i, requirement in enumerate(recipe.require):
+        name = requirement.that.split(".")[0]
+        leaves = ahead[name].leaves if ahead[name].leaves is not ... else recipe.step[name].leaves
+        if leaves is ...:
+            continue
+        proved = {"verified": bool} if name in recipe.step and (recipe.verify or recipe.step[name].verify) else {}
+        try:
+            _check_unit(requirement, look_ahead(requirement.that, {"status": str, **proved, **leaves}))
+        except InputError as fault:
+            key = f"{loaded.path.name}: require.{i}.{fault.where}"
+            faults.append(InputError(key, fault.found, fault.expected, fault.hint))
+    if len(faults) == 1:
+        raise faults[0]
+    if faults:
+        lines: list[str] = []
+        for fault in faults[:MAX_FAULTS_SHOWN]:
+            hint = f" ({fault.hint})" if fault.hint else ""
+            lines.append(f"  {fault.line.removeprefix(f'{loaded.path.name}: ')}{hint}")
+            lines += [f"    {line.strip()}" for line in fault.more]
+        if len(faults) > MAX_FAULTS_SHOWN:
+            lines.append(f"  and {len(faults) - MAX_FAULTS_SHOWN} more")
+        raise InputError(loaded.path.name, f"{len(faults)} faults", None, None, tuple(lines))
+    return ahead
+
+
+def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> RobustlabError:
+    """Return the error with the step's name before it; a wrong use in a recipe is a wrong input."""
+    kind = InputError if isinstance(error, UsageError) else type(error)
+    colon = "" if error.where.startswith(".") else ": "  # a key of the step
+    where = f"{loaded.path.name}: step.{name}{colon}{error.where}"
+    return kind(
+        where, error.found, error.expected, step_hint(error, getattr(loaded.recipe.step[name], "do", "")), error.more
+    )
+
+
+def step_hint(error: RobustlabError, word: str) -> str | None:
+    """Return the hint of an error as a step of a recipe writes its arguments."""
+    if not error.hint:
+        return None
+    if word in STEPS:
+        return STEPS[word].hint(error.hint, of_command=False)
+    return rewritten(error.hint, lambda name, value: f"{name} = {in_toml(value)}")
+
+
+def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
+    """Return a fault for each reference to a file whose object the step does not take."""
+    found: list[InputError] = []
+    for key, target, wanted in references(step):
+        held = ahead[target].value
+        kind = WANTED.get(wanted[0]) if set(wanted[1:]) <= {"any"} else None
+        if kind is not None and isinstance(held, HELD) and not isinstance(held, kind):
+            words = f"{'an' if kind is rl.UncertainModel else 'a'} {kind.__name__}"
+            found.append(InputError(f".{key}", f"step {target!r} gives a {type(held).__name__}", words))
+    return found
+
+
+def _wrong_names(step: Step, ahead: Ahead) -> list[InputError]:
+    """Return a fault for each name that is no signal or parameter of the step referred to."""
+    found: list[InputError] = []
+    for key, mark in marked(step, (Names, Table)):
+        target, given = getattr(step, mark.of), getattr(step, key)
+        known = _known(ahead[target], mark.side) if isinstance(target, str) else None
+        if known is None or not given:
+            continue
+        named = {"": given} if isinstance(given, str) else dict(enumerate(given))
+        for i, name in named.items():
+            if name in known or ("*" in name and any(fnmatchcase(k, name) for k in known)):
+                continue
+            part = f".{name}" if isinstance(given, Mapping) else f".{i}".rstrip(".")
+            found.append(unknown_name(f".{key}{part}", f"{name!r}: {target} has no such {mark.side[:-1]}", name, known))
+    return found
+
+
+def _known(inferred: Inferred, side: str) -> list[str] | None:
+    if side == "parameters":
+        parameters = getattr(inferred.value, "parameters", None)
+        return None if parameters is None else list(parameters)
+    sides = (inferred.outputs, inferred.inputs) if side == "signals" else (getattr(inferred, side),)
+    return None if None in sides else [name for known in sides for name in known or ()]
+
+
+def _check_unit(r: Requirement, unit: object) -> None:
+    if r.unit and isinstance(unit, str) and unit and not same_unit(r.unit, unit):
+        meant = "no unit: it is a pure number" if unit == "1" else f"{unit}, that of {r.that}"
+        raise InputError("unit", r.unit, f"{meant} (a label converts nothing)")

@@ -30,8 +30,7 @@ from robustlab.errors import (
 from robustlab.files.atomic import atomic_write
 from robustlab.files.signature import parse_document, require_file
 from robustlab.provenance import Provenance, file_sha256
-from robustlab.recipe.check import at_step, look_through, step_hint
-from robustlab.recipe.load import LoadedRecipe, references
+from robustlab.recipe.load import LoadedRecipe, at_step, look_through, references, step_hint
 from robustlab.recipe.schema import Judgement, Recipe, judge
 from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace
 from robustlab.report.html import ending_of, junit_xml, render

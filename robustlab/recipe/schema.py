@@ -12,9 +12,9 @@ from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.errors import InputError
-from robustlab.operations.vocabulary import StepName, Strict, Text
-from robustlab.recipe.steps.contract import KINDS, Step, nothing_there
+from robustlab.recipe.steps.contract import KINDS, Step, Strict, Text, nothing_there
 
+StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")
 
 
@@ -115,7 +115,6 @@ def _with_kinds(kinds: tuple[type[Step], ...]) -> type[Recipe]:
 
 
 def json_schema() -> dict[str, Any]:
-    """Return the JSON Schema of a recipe."""
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         **recipe_model().model_json_schema(by_alias=True),
@@ -134,7 +133,6 @@ class Judgement:
     free_run: Mapping[str, Any] | None = None  # of a number in windows: the same in free run, `value` and `met`
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain types."""
         return {
             **{name: getattr(self.requirement, name) for name in ("text", "that", "condition", "limits", "unit")},
             **{name: getattr(self, name) for name in ("value", "met", "why_not", "free_run")},

@@ -9,45 +9,7 @@ from pathlib import Path
 import robustlab
 from robustlab.errors import EnvironmentFault, UsageError
 
-STARTER = """\
-# A robustlab recipe: steps, run in the order written, and requirements that decide the exit code.
-#   check it:  robustlab recipe check {name}.toml
-#   run it:    robustlab run {name}.toml
-#   change a value without editing:  robustlab run {name}.toml --set uncertain.tolerances.Kf=0.2
-schema = "robustlab.recipe/1"
-name = "{name}"
-title = "A DC motor with uncertain friction"
-description = "Does the no-load speed stay within what the data sheet says?"
-seed = 0 # of all random numbers: same seed, same answer
-
-# Each step has a name of your choice and does one thing (`robustlab recipe schema` lists all kinds and their keys).
-[step.motor]
-do = "plant"
-plant = "dc-motor"
-# parameters = {{ R = 2.1, J = [7.2e-6, 0.1] }}   # SI units; [value, relative tolerance]
-
-# Steps refer to earlier ones by name.
-[step.uncertain]
-do = "uncertain"
-of = "motor"
-tolerances = {{ Kf = 0.35 }} # viscous friction +-35 %
-outputs = ["omega"]
-
-[step.speed]
-do = "sample"
-of = "uncertain"
-n = 20
-vertices = 2
-input = {{ u = 42.0 }} # V, applied at t = 0
-t_end = 0.05 # s
-reference = [{{ output = "omega", value = 788.5, text = "data sheet" }}]
-
-# A requirement names a number of a step and a condition: at_least, at_most, within = [low, high], equals (tolerance).
-[[require]]
-text = "The set of models covers the data sheet's no-load speed of 788.5 rad/s"
-that = "speed.outputs.omega.final.upper"
-at_least = 788.5
-"""
+STARTER = Path(__file__).with_name("starter.toml")  # NAME: the recipe's name
 
 
 def shipped_folder() -> Path:
@@ -58,12 +20,10 @@ def shipped_folder() -> Path:
 
 
 def shipped_recipes() -> list[str]:
-    """Return the names of the shipped recipes."""
     return sorted(path.stem for path in shipped_folder().glob("*.toml"))
 
 
 def shipped_titles() -> dict[str, str]:
-    """Return name -> title of the shipped recipes."""
     import tomllib
 
     files = {name: shipped_folder() / f"{name}.toml" for name in shipped_recipes()}
@@ -80,6 +40,6 @@ def write_starter(name: str, force: bool = False) -> Path:
         raise EnvironmentFault(str(path), "exists already", "a new name, or --force to write over it")
     from robustlab.files.atomic import atomic_write
 
-    content = STARTER.format(name=path.stem)
+    content = STARTER.read_text(encoding="utf-8").replace("NAME", path.stem)
     atomic_write(path, lambda temporary: temporary.write_text(content, encoding="utf-8"))
     return path

@@ -6,12 +6,13 @@ import pytest
 from pydantic import Field
 
 from robustlab.errors import InputError
-from robustlab.operations import Positive, ToModel
 from robustlab.recipe import (
     KINDS,
     Fact,
     Outcome,
+    Positive,
     Step,
+    ToModel,
     Workspace,
     json_schema,
     load_recipe,

@@ -465,12 +465,12 @@ def follow_path(
     controllers: Mapping[str, Any],
     *,
     at: Sequence[float] | None = None,
-    scale: float,
-    rise_time: float,
-    t_end: float,
-    points: int,
-    after: float,
-    p_low: float,
+    scale: float = 1.0,
+    rise_time: float = 0.0,
+    t_end: float = 5.0,
+    points: int = 2501,
+    after: float = 3.0,
+    p_low: float = 3000.0,
 ) -> ControlledRuns:
     """Simulate the nonlinear Stewart platform along the path of section 9.1.3; ``at``: its start, None: home."""
     machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant

@@ -99,7 +99,7 @@ class RecordCheck(Evidence):
 
 
 def check_record(record: Record, plant: Any = None) -> RecordCheck:
-    """Summarise ``record``; with a plant or model, also check it against that (see `suitability`)."""
+    """Report the content of a record and its irregularities; with a model, also whether it suits identification."""
     channels, remarks = [], []
     if not record.is_uniform:
         steps = np.diff(record.t)

@@ -116,7 +116,7 @@ def discover(
     exclude: Sequence[str] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Discovery:
-    """Name what a model lacks.
+    """Identify the effects that a model lacks from measured records, and update the model with them.
 
     Parameters
     ----------

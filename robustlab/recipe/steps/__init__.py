@@ -1,10 +1,6 @@
-"""The kinds of steps: classes marked with `contract.step` in the files here, and those made of operations."""
+"""The kinds of steps: classes marked with `contract.step`, and those made of operations."""
 
-from importlib import import_module
+from robustlab.recipe.steps.by_hand import BASES
+from robustlab.recipe.steps.generated import add_steps
 
-for _name in ("models", "records", "samples", "validation"):
-    import_module(f"{__name__}.{_name}")
-
-from robustlab.recipe.steps.generated import add_steps  # noqa: E402
-
-add_steps()
+add_steps(BASES)

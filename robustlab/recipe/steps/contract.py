@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_args
 
-from pydantic import ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 import robustlab as rl
 from robustlab.display import Each
 from robustlab.errors import InputError, did_you_mean
-from robustlab.operations.vocabulary import Strict, Text
+from robustlab.operations.kinds import Thing
 from robustlab.result import Evidence
 
 if TYPE_CHECKING:
@@ -27,7 +27,17 @@ if TYPE_CHECKING:
 # Value of ``do`` -> the class of such steps; filled by `step`.
 KINDS: dict[str, type[Step]] = {}
 Kind = TypeVar("Kind", bound="type[Step]")
-Wanted = TypeVar("Wanted")
+
+# "any": the object of a loaded file is known only at run time.
+ToModel = Annotated[str, Thing(("plant", "model", "uncertain", "any"))]
+Text = Annotated[str, Field(max_length=2000)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+class Strict(BaseModel):
+    """Reject unknown keys, silent conversion (TOML has types), NaN and infinity."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, populate_by_name=True)
 
 
 @dataclass(frozen=True)
@@ -87,8 +97,12 @@ class Step(Strict):
 
     @property
     def kind(self) -> str:
-        """Return the value of ``do``."""
         return str(vars(self)["do"])
+
+    @property
+    def reads(self) -> tuple[str, str | None]:
+        """Return the key that names a file, and the file or None."""
+        return "path", getattr(self, "path", None)
 
     def infer(self, ahead: Ahead) -> Inferred:
         """Infer cheaply what the step will give, before anything runs."""
@@ -107,12 +121,6 @@ def step(cls: Kind) -> Kind:
     """Register a kind of step (class decorator)."""
     KINDS[get_args(cls.model_fields["do"].annotation)[0]] = cls
     return cls
-
-
-def quantity(value: float, unit: str = "", digits: int = 5) -> str:
-    """Return a number with its unit as text, for example ``779.07 rad/s``."""
-    text = f"{value:.{digits}g}"
-    return f"{text} {unit}" if unit and unit != "1" else text
 
 
 @dataclass(frozen=True)
@@ -158,16 +166,7 @@ class Workspace:
     png: bool = False  # draw figures as PNG, too
     drawn: frozenset[str] | None = None  # names of the steps whose figures are drawn; None: of all
 
-    def wanted(self, name: str, kind: type[Wanted]) -> Wanted:
-        """Return the object of an earlier step; a loaded file may hold something else."""
-        value = self.values[name]
-        if not isinstance(value, kind):
-            words = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
-            raise InputError(f"step {name!r}", f"gave a {type(value).__name__}", words)
-        return value
-
     def provenance(self) -> Provenance:
-        """Return the provenance of the current step's result."""
         from robustlab.provenance import Provenance
 
         return Provenance.now(f"recipe step {self.step}", self.inputs, self.seed)

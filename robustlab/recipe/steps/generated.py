@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from robustlab.display import Displayable
-from robustlab.errors import InputError, UsageError
 from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.kinds import RecordFile, Thing
 from robustlab.recipe.steps.contract import (
@@ -25,44 +24,43 @@ from robustlab.recipe.steps.contract import (
 from robustlab.record import Record
 from robustlab.signals import Signal
 
-# Kind of step -> its base, where a step does more than call the function.
-BASES: dict[str, type[OperationStep]] = {}
-
 
 class Quantities:
     """The names that requirements may refer to, from the result's class, imported on access."""
 
-    def __init__(self, declared: Operation) -> None:
-        self.declared = declared
-
     def __get__(self, instance: Any, owner: Any) -> Any:
-        """Return the pattern of the class."""
-        return self.declared.quantities
+        return owner.declared.quantities
 
 
 class OperationStep(Step):
     """A step that is an operation: one function, one result."""
 
     declared: ClassVar[Operation]
+    leaves: ClassVar[Any] = Quantities()
 
     def infer(self, ahead: Ahead) -> Inferred:
         """Infer the names for requirements and the signals for later steps; check that a record fits its model."""
-        known = self.declared.infer
-        if known is not None and not isinstance(known, str):
-            return known(self, ahead)
+        known, kept = self.declared.infer, getattr(self, "outputs", None)
+        if isinstance(known, tuple):
+            inputs, outputs = (ahead[self._reference(keys)] for keys in known)
+            return Inferred(None, inputs.inputs, outputs.select(kept).outputs)
         if known is not None:
-            kept = getattr(self, "outputs", None)
-            return ahead[getattr(self, known)].select(kept if isinstance(kept, list) else None)
+            return known(self, ahead)
         first = _first(self.declared)
         given = getattr(self, first) if first else None
         of = given if isinstance(given, str) else None
         fits = [compared(ahead, of, name) for name in self._records() if name != of]
-        inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].outputs)
+        inputs, outputs = fits[0] if fits else (ahead[of].inputs, ahead[of].select(kept).outputs)
         leaves = with_signals(self.pattern(ahead), inputs, outputs)
         for p in self.declared.parameters:
             if isinstance(p.kind, Thing) and p.kind.named and p.key in leaves:
                 leaves[p.key] = dict.fromkeys(getattr(self, p.key), leaves[p.key]["*"])
         return Inferred(leaves=leaves)
+
+    def _reference(self, keys: str) -> str | None:
+        """Return the step that the first given one of some keys names."""
+        given = next(filter(None, (getattr(self, key) for key in keys.split())), None)
+        return given[0] if isinstance(given, list) else given
 
     def pattern(self, ahead: Ahead) -> Any:
         """Return the names for requirements; a kind of step may know more than its result's class."""
@@ -73,12 +71,7 @@ class OperationStep(Step):
         return [name for one in given if one for name in (one if isinstance(one, list) else [one])]
 
     def run(self, work: Workspace) -> Outcome:
-        """Call the function."""
-        try:
-            found = self.declared(**self._values(work))
-        except UsageError as error:  # the recipe is wrong, not a command
-            raise InputError(error.where, error.found, error.expected, error.hint) from None
-        return self.outcome(found, work)
+        return self.outcome(self.declared(**self._values(work)), work)
 
     def _values(self, work: Workspace) -> dict[str, Any]:
         values: dict[str, Any] = {}
@@ -86,7 +79,7 @@ class OperationStep(Step):
             if p.name == "seed":
                 own = vars(self)["seed"]
                 values["seed"] = work.seed if own is None else own
-            elif p.called.only != "command":
+            elif p.kind.only != "command":
                 given = p.kind.of_field(getattr(self, p.key))
                 if given is not None or p.needed:
                     values[p.name] = _thing(p.kind, given, work) if isinstance(p.kind, Thing) else given
@@ -109,7 +102,7 @@ class OperationStep(Step):
             work.simulated.add(work.step)
         first = _first(self.declared)
         of = (getattr(self, first) if first else None) or ""
-        what = result.headline() or self.declared.title.rstrip(".")
+        what = result.headline() or self.declared.paragraphs[0].rstrip(".")
         summary = f"{of if isinstance(of, str) else ', '.join(of)}: {what}.".removeprefix(": ")
         value = self.declared.made_of(result) if self.gives != "nothing" else None
         simulated = [f"Record {name} is simulated, not measured." for name in self._records() if name in work.simulated]
@@ -135,33 +128,31 @@ def compared(ahead: Ahead, model: str | None, record: str) -> tuple[Mapping[str,
     return ours.inputs, {name: unit for name, unit in ours.outputs.items() if name in recorded.outputs}
 
 
-def add_steps() -> None:
-    """Register the steps that the modules of operations declare."""
+def add_steps(bases: Mapping[str, type[OperationStep]]) -> None:
+    """Register the steps of operations; ``bases``: kind of step -> its base, where it does more than the operation."""
     every_operation()
     for word, declared in STEPS.items():
-        step(step_of(word, declared))
+        step(_step_of(word, declared, bases.get(word, OperationStep)))
 
 
-def step_of(word: str, declared: Operation) -> type[OperationStep]:
-    """Return the class of the steps of an operation."""
+def _step_of(word: str, declared: Operation, base: type[OperationStep]) -> type[OperationStep]:
     keys: dict[str, Any] = {"do": (Literal[word], ...)}
     for p in declared.parameters:
-        if p.called.only == "command":
+        if p.kind.only == "command":
             continue
         if p.name == "seed":
             keys["seed"] = (p.kind.field() | None, Field(None, description="The recipe's seed where left out."))
             continue
         kind: Any = p.kind.field()
-        default = ... if p.needed else p.default if p.called.in_step is None else p.called.in_step
+        default = ... if p.needed else p.default if p.kind.in_step is None else p.kind.in_step
         if p.needed and isinstance(p.kind, Thing) and (p.kind.many or p.kind.named):
             kind = Annotated[kind, Field(min_length=1)]
         taken = kind | None if default is None else kind
         keys[p.key] = (taken, Field(default, description=None if isinstance(p.kind, Thing) and p.needed else p.help))
     name = "".join(part.capitalize() for part in word.split("-")) + "Step"
-    more = [part for part in declared.more.split("\n\n") if not part.startswith("Exit code")]  # that of the command
-    doc = "\n\n".join(filter(None, (declared.title, *more)))
-    made: Any = create_model(name, __base__=BASES.get(word, OperationStep), __doc__=doc, **keys)
-    made.gives, made.leaves, made.declared = declared.gives, Quantities(declared), declared
+    doc = "\n\n".join(part for part in declared.paragraphs if not part.startswith(("Exit code", "Example: ")))
+    made: Any = create_model(name, __base__=base, __doc__=doc, **keys)
+    made.gives, made.declared = declared.gives, declared
     return made
 
 

@@ -55,7 +55,7 @@ def test_every_hint_is_in_the_syntax_of_its_interface():
         arguments: list[str] = []
         rewritten(hint, lambda name, _, found=arguments: found.append(name))
         for operation in operations if arguments else ():
-            names = {n: p for p in operation.parameters for n in (p.called.argument or p.name, p.key)}
+            names = {n: p for p in operation.parameters for n in (p.kind.argument or p.name, p.key)}
             for p in (names[name] for name in arguments if name in names):
                 seen += 1
                 assert p.options[0] in operation.hint(hint, of_command=True), (file, hint)

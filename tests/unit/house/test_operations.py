@@ -15,14 +15,16 @@ from robustlab.operations import Choice, Numbers, Operation, Table, Thing, every
 from robustlab.recipe import KINDS, look_ahead
 
 OPERATIONS = every_operation()
-NAMES = [d.function.__name__ for d in OPERATIONS]
+NAMES = [d.name for d in OPERATIONS]
 # What only one operation can offer, and why.
 ONE_WAY: dict[str, str] = {
     "expressions": "a recipe loads the set that the command wrote",
     "cover": "the members' envelope of a record, in recipes",
     "discretise_by_formula": "one line in Python",
-    **dict.fromkeys(("show", "sample", "campaign", "resume", "stored"), "of a command alone"),
-    **dict.fromkeys(("steady_state", "close_loop", "cascade", "join"), "one line in Python; recipes use the step"),
+    **dict.fromkeys(("show", "sample", "campaign", "resume", "read_campaign"), "of a command alone"),
+    **dict.fromkeys(
+        ("steady_state", "close_loop", "cascade", "join_clocks"), "one line in Python; recipes use the step"
+    ),
     **dict.fromkeys(("data_cover", "with_loads", "tracking_problem", "feed_forward"), "of recipes"),
     **dict.fromkeys(("compare_performance", "follow_sine", "follow_path"), "of recipes"),
 }
@@ -37,7 +39,7 @@ OTHER_DEFAULTS = {
 
 @pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
 def test_every_capability_has_its_command_and_its_step(declared: Operation) -> None:
-    name = declared.function.__name__
+    name = declared.name
     assert (declared.command and declared.step) or name in ONE_WAY
 
 
@@ -47,28 +49,28 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Operatio
     if declared.command:
         offered = inspect.signature(command_of(declared)).parameters
         for p in parameters.values():
-            if p.called.only != "step":
+            if p.kind.only != "step":
                 option: Any = offered[p.name].annotation.__metadata__[0]
                 assert option.help.startswith(p.help)
     if declared.step:
         keys = KINDS[declared.step].model_fields
         for p in parameters.values():
-            if p.name != "seed" and p.called.only != "command":
-                assert keys[p.key].is_required() == (p.needed or p.called.in_step is ...)
-                default = p.default if p.called.in_step is None else p.called.in_step
+            if p.name != "seed" and p.kind.only != "command":
+                assert keys[p.key].is_required() == (p.needed or p.kind.in_step is ...)
+                default = p.default if p.kind.in_step is None else p.kind.in_step
                 if not p.needed and isinstance(default, (int, float, str)):
                     assert keys[p.key].default == default
 
 
 @pytest.mark.parametrize("declared", OPERATIONS, ids=NAMES)
 def test_defaults_are_those_of_the_public_function(declared: Operation) -> None:
-    function = getattr(rl, declared.function.__name__.rstrip("_"), None)
+    function = getattr(rl, declared.name.rstrip("_"), None)
     if not callable(function):
         pytest.skip("an operation of more than one public function")
     known = inspect.signature(function).parameters
     for p in declared.parameters:
         public = known.get(p.name)
-        if (declared.function.__name__, p.name) in OTHER_DEFAULTS:
+        if (declared.name, p.name) in OTHER_DEFAULTS:
             continue
         if public is not None and not p.needed and public.default not in (inspect.Parameter.empty, None, ()):
             assert p.default == public.default, p.name
