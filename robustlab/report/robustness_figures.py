@@ -21,8 +21,7 @@ from robustlab.report import style
 from robustlab.worst_case_analysis.statistics import Influence, ViolationProbability
 
 if TYPE_CHECKING:
-    from robustlab.mu_analysis import Margin, WorstCaseGain
-    from robustlab.mu_analysis.axis.margin import CriticalResponse
+    from robustlab.mu_analysis.axis.margin import CriticalResponse, Margin, WorstCaseGain
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginAt, GainAt, MarginAt
     from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
