@@ -104,7 +104,7 @@ def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 
 def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
     """The pole with the largest real part for each of a stack of Deltas; inf where the loop is ill-posed."""
-    a, _ = _closed(model, delta)
+    a: ComplexArray = _closed(model, delta)[0]
     if not model.n_states:
         return np.full(len(delta), -np.inf, dtype=complex)
     finite = np.isfinite(a).all(axis=(1, 2))
