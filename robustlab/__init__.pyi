@@ -33,9 +33,9 @@ from robustlab.linear_analysis.frequency import frequency_response as frequency_
 from robustlab.linear_analysis.structural import controllability as controllability
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.linear_analysis.zeros import zeros as zeros
-from robustlab.mu_analysis import mu as mu
-from robustlab.mu_analysis import robust_performance as robust_performance
+from robustlab.mu_analysis.axis.robustness import robust_performance as robust_performance
 from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.matrix.bounds import mu as mu
 from robustlab.norms import h2_norm as h2_norm
 from robustlab.realisations import ss as ss
 from robustlab.realisations import tf as tf

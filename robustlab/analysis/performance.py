@@ -15,7 +15,8 @@ import numpy as np
 from robustlab.analysis.gains_and_margins import peak_gain
 from robustlab.display import Displayable, Facts, Part, bracket, member, number
 from robustlab.errors import InputError, error_context
-from robustlab.mu_analysis import Margin, WorstCaseGain, robust_performance, worst_case_gain
+from robustlab.mu_analysis.axis.margin import Margin, WorstCaseGain
+from robustlab.mu_analysis.axis.robustness import robust_performance, worst_case_gain
 from robustlab.norms import PeakGain
 from robustlab.result import Bracket, Status, least_trusted
 from robustlab.statespace import StateSpaceModel

@@ -21,8 +21,16 @@ from robustlab.budget import search_budget
 from robustlab.delays.approximation import error_weight, pade
 from robustlab.delays.model import DelayedModel
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous, model_frequency, seed_frequencies
-from robustlab.mu_analysis.axis.intervals import Piece, cover_axis, interval_scalings, joined_scalings, loop_axis_claims
+from robustlab.mu_analysis.axis.intervals import (
+    Piece,
+    continuous,
+    cover_axis,
+    interval_scalings,
+    joined_scalings,
+    loop_axis_claims,
+    model_frequency,
+    seed_frequencies,
+)
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import robust_stability
 from robustlab.mu_analysis.margins.cover import Cover
@@ -111,7 +119,7 @@ def margin_claims(found: Margin) -> list[Claim]:
         return [Claim("stable", {"A": uncertain.M.A, "dt": np.array(float(uncertain.M.dt))})]
     common: Numbers = {**model_numbers(model), "blocks": block_rows(blocks)}
     claims: list[Claim] = []
-    at = partial(model_frequency, uncertain)
+    at = partial(model_frequency, uncertain.dt)
     if 0 < found.lower < np.inf:
         level = ABOVE / found.lower
         if found.boxes or not _symmetric(blocks):
@@ -136,7 +144,7 @@ def gain_claims(found: WorstCaseGain | RobustGain | None) -> list[Claim]:
     if found is None or (uncertain := found.system) is None or not np.isfinite(found.upper) or not found.proof:
         return []
     performance = FullBlock(PERFORMANCE, len(uncertain.inputs), len(uncertain.outputs))
-    blocks, at = (*uncertain.blocks, performance), partial(model_frequency, uncertain)
+    blocks, at = (*uncertain.blocks, performance), partial(model_frequency, uncertain.dt)
     gamma = np.array(found.upper * ABOVE)
     numbers: Numbers = {**model_numbers(uncertain.M), "blocks": block_rows(blocks), "gamma": gamma}
     if found.boxes or not _symmetric(blocks):

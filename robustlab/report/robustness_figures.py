@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from robustlab.identification.comparison.envelope import EnvelopeCoverage
     from robustlab.identification.validation import Validation
     from robustlab.identification.validation.data_cover import DataCover
-    from robustlab.mu_analysis import Margin, WorstCaseGain
-    from robustlab.mu_analysis.axis.margin import CriticalResponse
+    from robustlab.mu_analysis.axis.margin import CriticalResponse, Margin, WorstCaseGain
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginAt, GainAt, MarginAt
     from robustlab.mu_analysis.margins.cover import Cover
     from robustlab.statespace import StateSpaceModel

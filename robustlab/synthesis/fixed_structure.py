@@ -117,27 +117,6 @@ class FixedSynthesis(ParametricDesign):
     """A controller of a given structure; ``gamma`` bounds the largest norm over all models.
 
     For an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
-
-    Attributes
-    ----------
-    objective
-        ``"hinf"`` or ``"h2"``.
-    parameters
-        The controller's parameters.
-    gammas
-        Verified norm (H-infinity: upper bound) of every model's loop; for an uncertain plant, of every scenario.
-    peak_frequency
-        Frequency in rad/s at which the worst loop attains its norm; NaN for H2.
-    limits
-        The limits with their values.
-    starts
-        The result of every start, best first.
-    scenarios
-        For an uncertain plant: the Delta of every scenario.
-    worst
-        For an uncertain plant: the worst-case gain over the whole set.
-    plants
-        The plant of every loop, or the uncertain plant of ``worst``, for `robustlab.verify`.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
@@ -146,12 +125,14 @@ class FixedSynthesis(ParametricDesign):
         "scenarios", "worst_case_gain",
     )  # fmt: skip
 
-    objective: str
+    objective: str  #: ``"hinf"`` or ``"h2"``
+    #: Verified norm (H-infinity: upper bound) of every model's loop; for an uncertain plant, of every scenario
     gammas: tuple[float, ...]
-    peak_frequency: float
-    starts: tuple[Start, ...]
-    scenarios: tuple[Mapping[str, Any], ...] = ()
-    worst: WorstCaseGain | None = None
+    peak_frequency: float  #: Frequency in rad/s at which the worst loop attains its norm; NaN for H2
+    starts: tuple[Start, ...]  #: The result of every start, best first
+    scenarios: tuple[Mapping[str, Any], ...] = ()  #: For an uncertain plant: the Delta of every scenario
+    worst: WorstCaseGain | None = None  #: For an uncertain plant: the worst-case gain over the whole set
+    #: The plant of every loop, or the uncertain plant of ``worst``, for `robustlab.verify`
     plants: tuple[GeneralizedPlant, ...] = ()
 
     @property
@@ -223,24 +204,16 @@ def fixed_structure(
         (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
     n_meas, n_con
         Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
-    objective
-        ``"hinf"`` or ``"h2"``.
-    limits
-        Limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
-    bounds
-        ``(low, high)`` by parameter name.
-    start
-        Further start: parameters by name, a list of such mappings, or an earlier result.
-    starts
-        Number of random starts, in addition to the given ones, the structure's own and, for a `FixedOrder`, the
-        full-order design reduced to the order.
-    seed
-        Seed of the random starts.
-    time_limit
-        Time limit in s, checked between steps (default: none). The best verified design is returned with status
-        TIMEOUT.
-    effort
-        Multiple of the usual work. The search counts its evaluations, so that the result is the same on any machine.
+    objective, limits
+        ``"hinf"`` or ``"h2"``; limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
+    bounds, start
+        ``(low, high)`` by parameter name; further start: parameters by name, a list of those, or an earlier result.
+    starts, seed
+        Number and seed of random starts, in addition to the given ones, the structure's own and, for a `FixedOrder`,
+        the full-order design reduced to the order.
+    time_limit, effort
+        Time limit in s, checked between steps (default: none), after which the best verified design is returned with
+        status TIMEOUT; multiple of the usual work, counted, so that the result is the same on any machine.
     progress
         Called with a short line after every start.
 
@@ -333,14 +306,9 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
     return plants
 
 
-# --- parameters -------------------------------------------------------------------------------------------------------
-
-
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
-    """Return the parameters of a law with their values."""
-    return tuple(
-        ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in zip(law.parameters, p.tolist(), strict=True)
-    )
+    pairs = zip(law.parameters, p.tolist(), strict=True)
+    return tuple(ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in pairs)
 
 
 def _place(name: str, law: Law) -> int:
@@ -518,12 +486,10 @@ def require_finite_h2(problem: DesignProblem) -> None:
         for v in () if problem.dt or kind != "h2" else (problem.start, moved):
             loop = family.member(problem.theta(problem.parameters(v)[0]))
             if loop is not None and loop.loop.D.any():
-                raise InputError(
-                    f"{WHERE}: plant {i}",
-                    "the closed loop has a direct term from w to z: its H2 norm is infinite",
-                    "D11 = 0, and no direct path from w over the controller to z",
-                    "take a strictly proper structure, such as FixedOrder(n, strictly_proper=True)",
-                )
+                found = "the closed loop has a direct term from w to z: its H2 norm is infinite"
+                expected = "D11 = 0, and no direct path from w over the controller to z"
+                hint = "take a strictly proper structure, such as FixedOrder(n, strictly_proper=True)"
+                raise InputError(f"{WHERE}: plant {i}", found, expected, hint)
 
 
 def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNumber:
@@ -541,8 +507,6 @@ def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNu
         pole_text = f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
         plant = "the plant" if len(edges) == 1 else f"plant {which + 1}"
         text = f"no start stabilised {plant}: nearest pole {'z' if discrete else 's'} = {pole_text}"
-    return NoTrustworthyNumber(
-        WHERE,
-        f"{text} ({len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''})",
-        hint="not found is no proof that there is none: try more starts, another seed, or a richer structure",
-    )
+    starts = f"{len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''}"
+    hint = "not found is no proof that there is none: try more starts, another seed, or a richer structure"
+    return NoTrustworthyNumber(WHERE, f"{text} ({starts})", hint=hint)

@@ -186,7 +186,6 @@ class GoalValue:
 
     @property
     def value(self) -> float:
-        """The largest of the values."""
         return max(self.values)
 
     @property
@@ -205,20 +204,11 @@ class TunedSynthesis(fixed.ParametricDesign):
     ``gamma`` is the largest value of the soft goals (of all goals where every one is hard); ``closed_loop`` is the loop
     of the first plant with all of its signals. Status: CERTIFIED (CONVERGED with a variance among the goals) if every
     hard goal is met; INFEASIBLE if a hard goal is proved to be infeasible for any controller; else INCONCLUSIVE.
-
-    Attributes
-    ----------
-    goals
-        The goals with their verified values.
-    limits
-        The limits with their values, the largest over all plants.
-    parameters
-        The controller's parameters.
     """
 
     saved = (*Synthesis.saved, "goals", "limits", "parameters")
 
-    goals: tuple[GoalValue, ...]
+    goals: tuple[GoalValue, ...]  #: The goals with their verified values
 
     @property
     def missed(self) -> tuple[GoalValue, ...]:

@@ -52,26 +52,18 @@ RESIDUAL = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class H2Synthesis(Synthesis):
-    """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of the values from both Gramians.
-
-    Attributes
-    ----------
-    norm
-        The H2 norm of the rebuilt loop with its status.
-    regularisation
-        Size of the added penalties and noises in the scaled plant; 0 where the plant was solved as it is, and K is then
-        optimal.
-    smallest_norm
-        Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it.
-    """
+    """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of the values from both Gramians."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities, **dict.fromkeys(("regularisation", "smallest_norm"), float),
     }  # fmt: skip
     saved = (*Synthesis.saved, "norm", "regularisation", "smallest_norm")
 
-    norm: H2Norm
+    norm: H2Norm  #: The H2 norm of the rebuilt loop with its status
+    #: Size of the added penalties and noises in the scaled plant; 0 where the plant was solved as it is, and K is then
+    #: optimal
     regularisation: float
+    #: Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it
     smallest_norm: float
 
     def _gamma_text(self) -> str:
@@ -115,10 +107,9 @@ def h2(
     gamma_rel
         How much larger than the smallest norm found the returned controller's may be (>= 1) where penalties or noises
         had to be added; within it the largest ones are taken, because K grows faster without end as they go to zero.
-    time_limit
-        Time in s, checked between trials; none where left out. Where it ends the search the status is TIMEOUT.
-    effort
-        Multiple of the usual work.
+    time_limit, effort
+        Time in s, checked between trials (default: none; where it ends the search the status is TIMEOUT); multiple of
+        the usual work.
     progress
         Called with one line per trial.
 
@@ -190,11 +181,9 @@ def synthesize_h2(
     by_norm = sorted(trials, key=lambda t: t.norm.value)
     if not by_norm:
         ended = f" ({NOT_REPEATABLE})" if budget.struck else ""
-        raise NoTrustworthyNumber(
-            where,
-            f"no controller could be verified{ended}: none was found, or none left the rebuilt loop stable",
-            hint="look at the plant's scaling and at poles and zeros on the stability boundary",
-        )
+        found = f"no controller could be verified{ended}: none was found, or none left the rebuilt loop stable"
+        hint = "look at the plant's scaling and at poles and zeros on the stability boundary"
+        raise NoTrustworthyNumber(where, found, hint=hint)
     best = by_norm[0]
     allowed = [t for t in trials if t.norm.value <= gamma_rel * best.norm.value] if best.eps else [best]
     chosen = max(allowed, key=lambda t: t.eps)
@@ -311,12 +300,9 @@ def _cancelling_gain(p: PlantMatrices, dt: float, where: str) -> AnyArray:
     left = p.D11 + p.D12 @ gain @ p.D21
     share = float(np.abs(left).max() / np.abs(p.D11).max())
     if share > CANCELLED:
-        raise NoTrustworthyNumber(
-            where,
-            f"the H2 norm is infinite for every controller: {share:.1%} of the direct term from w to z stays",
-            "D11 = 0, or D11 + D12 D_K D21 = 0 for some D_K",
-            "take w's direct way to z out of the plant, or pass w through a fast low-pass filter first",
-        )
+        found = f"the H2 norm is infinite for every controller: {share:.1%} of the direct term from w to z stays"
+        hint = "take w's direct way to z out of the plant, or pass w through a fast low-pass filter first"
+        raise NoTrustworthyNumber(where, found, "D11 = 0, or D11 + D12 D_K D21 = 0 for some D_K", hint)
     return gain
 
 

@@ -74,11 +74,7 @@ class ParameterRange:
 
     @classmethod
     def between(cls, low: float, high: float, nominal: float | None = None, unit: str = "") -> ParameterRange:
-        """Return the range from ``low`` to ``high`` around ``nominal``, by default the middle.
-
-        >>> ParameterRange.between(0.75, 1.5, 1.0)
-        ParameterRange(nominal=1.0, radius=0.5, unit='', below=0.25)
-        """
+        """Return the range from ``low`` to ``high`` around ``nominal``, by default the middle."""
         middle = 0.5 * (low + high) if nominal is None else nominal
         if not (np.isfinite([low, middle, high]).all() and low < middle < high):
             raise InputError("ParameterRange", f"{low} .. {high} around {middle}", "finite low < nominal < high")
@@ -422,16 +418,12 @@ class RealScalar(ScalarBlock):
 
     Parameters
     ----------
-    name
-        Unique within a structure.
-    repeats
-        How many channels the number acts on.
+    name, repeats, origin
+        As of `ComplexScalar`.
     parameter
         The physical range of the normalised delta. If that range is wider on one side, the entry of Delta is ``delta``
         for ``delta >= 0`` and ``ratio * delta`` for ``delta < 0``, in [-ratio, 1], so that M is affine in the
         parameter.
-    origin
-        Source of the block, in words; ignored in comparisons.
 
     Examples
     --------
@@ -522,14 +514,10 @@ class FullBlock(Block):
 
     Parameters
     ----------
-    name
-        Unique within a structure.
     rows, cols
         Entries of w and of z.
-    origin
-        Source of the block, in words; ignored in comparisons.
-    covers
-        For a delay: its length and its spread in s, and the orders of the approximation and of the weight; else None.
+    name, origin, covers
+        As of `ComplexScalar`.
     """
 
     stored_as: ClassVar[str] = "full"
@@ -553,9 +541,8 @@ def as_blocks(given: Any) -> tuple[Block, ...]:
     names = [b.name for b in blocks]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise InputError(
-            "blocks", f"block name {twice[0]!r} is used twice", "unique names", "use repeats=... for a repeated scalar"
-        )
+        found, hint = f"block name {twice[0]!r} is used twice", "use repeats=... for a repeated scalar"
+        raise InputError("blocks", found, "unique names", hint)
     return blocks
 
 

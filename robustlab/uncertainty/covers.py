@@ -67,11 +67,10 @@ class Overbound(Displayable):
         """Return the smallest ``|w| / bound - 1`` on the grid: not negative."""
         return float((self.magnitude / self.bound).min()) - 1.0
 
-    def lifted(self, factor: float, status: Status | None = None) -> Overbound:
-        """Return the weight times a factor."""
+    def lifted(self, factor: float) -> Overbound:
         w = self.weight
         weight = StateSpaceModel(w.A, w.B, factor * w.C, factor * w.D, w.dt)
-        return Overbound(weight, self.omega, self.bound, factor * self.magnitude, status or self.status)
+        return replace(self, weight=weight, magnitude=factor * self.magnitude)
 
     def facts(self) -> Facts:
         return [
@@ -104,14 +103,11 @@ def overbound(
         Increasing positive frequencies in rad/s, (n,), n >= 2; below the Nyquist frequency of a discrete weight.
     bound
         Positive values, (n,), interpolated in log-log scales and constant outside the frequencies.
-    order
-        Largest number of states, 0..12.
-    tolerance
-        The excess at which a lower order suffices.
-    exact
-        The bound as a function of frequencies, if known between the given ones.
-    dt
-        Sample time in s of the weight; 0: continuous.
+    order, tolerance
+        Largest number of states, 0..12; the excess at which a lower order suffices.
+    exact, dt
+        The bound as a function of frequencies, if known between the given ones; sample time in s of the weight, 0:
+        continuous.
 
     Returns
     -------
@@ -320,13 +316,10 @@ def unstructured_cover(
         found = f"models of {models[0].n_outputs} outputs and {models[0].n_inputs} inputs"
         raise InputError(f"cover: form {form}", found, "as many inputs as outputs, or form additive")
     candidates: list[tuple[int | None, StateSpaceModel]]
-    if nominal is not None:
-        candidates = [(None, nominal)]
-    else:
-        candidates = [*enumerate(models, 1)]
-        if all(m.state_names == models[0].state_names for m in models):  # the middle of the matrices: number 0
-            stack = system_matrices(models)
-            candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
+    candidates = [*enumerate(models, 1)] if nominal is None else [(None, nominal)]
+    if nominal is None and all(m.state_names == models[0].state_names for m in models):
+        stack = system_matrices(models)  # the middle of the matrices is number 0
+        candidates.append((0, model_of(0.5 * (stack.min(axis=0) + stack.max(axis=0)), models[0])))
     omega = _grid(models, [c for _, c in candidates])
     judged: list[tuple[float, int | None, StateSpaceModel]] = []
     rejected: list[NoTrustworthyNumber] = []
@@ -353,7 +346,11 @@ def _weighted(
     def bound(w: Array) -> Array:
         return error_sizes(models, centre, form, w).max(axis=0)
 
-    size, beyond = bound(omega), _beyond(omega, centre.dt)
+    size, dt = bound(omega), centre.dt
+    # Frequencies outside the grid; of a discrete model the last is the Nyquist frequency.
+    rest = np.pi / dt - omega[-1] if dt else 0.0
+    high = np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else omega[-1] * BEYOND
+    beyond = np.concatenate([omega[0] / BEYOND, high])
     if not size.any():
         raise InputError("cover", "models that are all the same", "models that differ")
     outside = bound(beyond)
@@ -363,18 +360,16 @@ def _weighted(
         hint = "models whose relative degrees or integrators differ, or inverses of strictly proper ones: form additive"
         raise NoTrustworthyNumber(f"cover: form {form}", found, "an error that a proper weight bounds", hint)
     floor = BOUND_FLOOR * float(size.max())
-    fit = overbound(
-        omega, np.hypot(size, floor), order, tolerance, exact=lambda w: np.hypot(bound(w), floor), dt=centre.dt
-    )
+    raised = np.hypot(size, floor)
+    fit = overbound(omega, raised, order, tolerance, exact=lambda w: np.hypot(bound(w), floor), dt=dt)
     deltas = _deltas(models, centre, form, fit.weight)
     norms = [hinf_norm(d, 1e-9) for d in deltas]
     if norms and all(n.status.trustworthy and np.isfinite(n.upper) for n in norms):
         gains = np.array([n.upper for n in norms])
     else:
         at, deltas = np.concatenate([fit.omega, beyond]), ()
-        gains = (error_sizes(models, centre, form, at) / np.abs(frequency_response(fit.weight, at)[:, 0, 0])).max(
-            axis=1
-        )
+        weight = np.abs(frequency_response(fit.weight, at)[:, 0, 0])
+        gains = (error_sizes(models, centre, form, at) / weight).max(axis=1)
     # A peak between two frequencies of the grid, or an error beyond them, lifts the weight.
     lift = max(float(gains.max()) * (1.0 + 1e-9), 1.0)
     deltas = tuple(StateSpaceModel(d.A, d.B, d.C / lift, d.D / lift, d.dt) for d in deltas)
@@ -382,13 +377,6 @@ def _weighted(
     if lift > LIFT and fit.excess > tolerance:
         fit = replace(fit, status=Status.INACCURATE)
     return fit, deltas, tuple((gains / lift).tolist())
-
-
-def _beyond(omega: Array, dt: float) -> Array:
-    """Return frequencies outside the grid; of a discrete model the last is the Nyquist frequency."""
-    rest = np.pi / dt - omega[-1] if dt else 0.0
-    high = np.pi / dt - rest * np.linspace(0.9, 0.0, GRID_POINTS) if dt else omega[-1] * BEYOND
-    return np.concatenate([omega[0] / BEYOND, high])
 
 
 # --- errors by frequency ---------------------------------------------------------------------------------------------
@@ -416,15 +404,11 @@ def _right_divided(a: AnyArray, b: AnyArray) -> AnyArray:
     return np.swapaxes(np.linalg.solve(np.swapaxes(b, 1, 2), np.swapaxes(a, 1, 2)), 1, 2)
 
 
-def _sigma(matrices: AnyArray) -> Array:
-    return np.linalg.norm(matrices, 2, axis=(1, 2))
-
-
 def error_sizes(models: Models, centre: StateSpaceModel, form: Form, omega: Array) -> Array:
     """Return ``sigma_max(E_i)`` of every model relative to the nominal one, (n_models, n_omega); omega in rad/s."""
     s = np.exp(1j * omega * centre.dt) if centre.dt else 1j * omega
     with np.errstate(all="ignore"):
-        sizes = np.array([_sigma(_error(m, centre, form, s)) for m in models])
+        sizes = np.linalg.norm([_error(m, centre, form, s) for m in models], 2, axis=(2, 3))
     if not np.isfinite(sizes).all():
         k = int(np.flatnonzero(~np.isfinite(sizes).all(axis=0))[0])
         raise NoTrustworthyNumber("cover", f"the error at {omega[k]:g} rad/s is not finite")
@@ -435,10 +419,10 @@ def _reference(models: Models, form: Form, omega: Array) -> Array:
     """Return the scale of the bound: the models' own size for the additive forms, 1 for the relative ones."""
     if not form.endswith("additive"):
         return np.ones(len(omega))
-    responses = [frequency_response(m, omega) for m in models]
-    if form == "additive":
-        return np.max([_sigma(g) for g in responses], axis=0) + np.finfo(float).tiny
-    return np.max([_sigma(np.linalg.inv(g)) for g in responses], axis=0)
+    responses = np.array([frequency_response(m, omega) for m in models])
+    plain = form == "additive"
+    sizes = np.linalg.norm(responses if plain else np.linalg.inv(responses), 2, axis=(2, 3)).max(axis=0)
+    return sizes + np.finfo(float).tiny if plain else sizes
 
 
 def _grid(models: Models, others: list[StateSpaceModel]) -> Array:
@@ -473,9 +457,8 @@ def _require_stable(models: Models, centre: StateSpaceModel, form: Form) -> None
             continue
         above, below = (centre, model) if form.startswith("inverse") else (model, centre)
         zeros = form == "inverse-additive", form != "additive"  # whose zeros are poles of the error
-        parts = [
-            transmission_zeros(m, complete=True) if z else m.poles() for m, z in zip((above, below), zeros, strict=True)
-        ]
+        pairs = zip((above, below), zeros, strict=True)
+        parts = [transmission_zeros(m, complete=True) if z else m.poles() for m, z in pairs]
         bad = _pole_that_stays(model, centre, form, np.concatenate(parts))
         if bad is not None:
             text = f"model {i} differs from the nominal one by an unstable error (pole {bad.real:.6g}{bad.imag:+.6g}j)"
@@ -631,10 +614,8 @@ def _directions(models: Models, tolerance: float, directions: int | None) -> Mad
     axes, along, centre, half = axes[order], along[:, order], centre[order], half[order]
     nominal = model_of(middle + scale * (centre @ axes).reshape(scale.shape), models[0])
     (start,) = system_matrices([nominal])
-    ends = {
-        f"direction{j + 1}": model_of(start + scale * (size * axis).reshape(scale.shape), models[0])
-        for j, (size, axis) in enumerate(zip(half, axes, strict=True))
-    }
+    moved = (start + scale * (size * axis).reshape(scale.shape) for size, axis in zip(half, axes, strict=True))
+    ends = {f"direction{j}": model_of(matrix, models[0]) for j, matrix in enumerate(moved, 1)}
     made = elementwise(nominal, ends) if ends else UncertainModel(nominal, [])
     share = np.clip((along - centre) / half, -1.0, 1.0)
     return made, tuple(dict(zip(ends, row, strict=True)) for row in share.tolist()), (*half.tolist(), *left)

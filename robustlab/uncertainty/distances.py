@@ -75,12 +75,10 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
     r, s = np.eye(m.n_inputs) + m.D.T @ m.D, np.eye(m.n_outputs) + m.D @ m.D.T
     f, h = found.control.gain, found.filtering.gain.T
     root_r, root_s = _inverse_root(r), _inverse_root(s)
-    right = StateSpaceModel(
-        m.A + m.B @ f, m.B @ root_r, np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
-    )
-    left = StateSpaceModel(
-        m.A + h @ m.C, np.hstack([m.B + h @ m.D, h]), root_s @ m.C, np.hstack([root_s @ m.D, root_s])
-    )
+    C, D = np.vstack([m.C + m.D @ f, f]), np.vstack([m.D @ root_r, root_r])
+    right = StateSpaceModel(m.A + m.B @ f, m.B @ root_r, C, D)
+    B, D = np.hstack([m.B + h @ m.D, h]), np.hstack([root_s @ m.D, root_s])
+    left = StateSpaceModel(m.A + h @ m.C, B, root_s @ m.C, D)
     _check_inner(m, right, left)
     root = np.sqrt(found.rate)
     made = [StateSpaceModel(x.A * found.rate, x.B * root, x.C * root, x.D) for x in (right, left)]
@@ -118,8 +116,8 @@ class CoprimeMargin(Displayable):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        names = [name for name in vars(self) if name not in ("plant", "K")]
-        return {"type": "CoprimeMargin", "value": self.value, **{name: getattr(self, name) for name in names}}
+        kept = {name: value for name, value in vars(self).items() if name not in ("plant", "K")}
+        return {"type": "CoprimeMargin", "value": self.value, **kept}
 
 
 @error_context("coprime_margin")
@@ -177,9 +175,8 @@ def four_block(plant: StateSpaceModel) -> StateSpaceModel:
     v = np.hstack([np.zeros((m, p)), np.eye(m), np.eye(m)])
     y = plant.D @ v
     measured = y + np.hstack([np.eye(p), np.zeros((p, 2 * m))])
-    return StateSpaceModel(
-        plant.A, plant.B @ v, np.vstack([plant.C, np.zeros((m, n)), plant.C]), np.vstack([y, v, measured]), plant.dt
-    )
+    C = np.vstack([plant.C, np.zeros((m, n)), plant.C])
+    return StateSpaceModel(plant.A, plant.B @ v, C, np.vstack([y, v, measured]), plant.dt)
 
 
 def continuous_models(*models: StateSpaceModel) -> tuple[StateSpaceModel, ...]:

@@ -21,7 +21,7 @@ from robustlab.errors import InputError, UnitMismatch, error_context
 from robustlab.linear_analysis.matrices import equilibrating_exponents, system_matrix
 from robustlab.result import Status
 from robustlab.signals import MAX_NAME
-from robustlab.statespace import MAX_STATES, Signal, StateSpaceModel, as_model
+from robustlab.statespace import MAX_STATES, StateSpaceModel, as_model
 from robustlab.uncertainty.blocks import FullBlock, RealScalar
 from robustlab.uncertainty.lft import UncertainModel, with_channels
 
@@ -91,15 +91,6 @@ def elementwise(
     >>> model = elementwise(nominal, perturbed)
     >>> model.blocks[0].name, float(model.evaluate({"A[omega,i]": 1.0}).A[0, 1])
     ('A[omega,i]', 2.5)
-
-    By physical cause:
-
-    >>> nominal = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> heavy = StateSpaceModel([[-0.8]], [[0.8]], [[1.0]], [[0.0]])
-    >>> strong = StateSpaceModel([[-1.0]], [[1.3]], [[1.0]], [[0.0]])
-    >>> both = elementwise(nominal, {"mass": heavy, "motor": strong})
-    >>> [(b.name, b.repeats) for b in both.blocks], both.evaluate({"mass": 1.0, "motor": 1.0}).B.round(12).tolist()
-    ([('mass', 1), ('motor', 1)], [[1.1]])
     """
     causes = perturbed if isinstance(perturbed, Mapping) else {"perturbed": perturbed}
     first = as_model(nominal, "elementwise: nominal")
@@ -184,11 +175,7 @@ class BuiltModel(Displayable):
     def facts(self) -> Facts:
         residual = self.endpoint_residual
         off = "" if residual is None else f"{residual:.2g} of each matrix's largest entry"
-        return [
-            ("structure", self.structure),
-            ("off the perturbed model at Delta = I", off),
-            *self.model.facts(),
-        ]
+        return [("structure", self.structure), ("off the perturbed model at Delta = I", off), *self.model.facts()]
 
     def details(self) -> list[Part]:
         return self.model.details()
@@ -287,9 +274,8 @@ def _parts(d: _Difference, structure: str) -> list[_Part]:
             factors = _rank_factors(e, d.allowance, d.scale, [_EVERYWHERE])
             if structure == "rows":
                 factors = np.eye(len(e))[:, [row]], e[[row]]
-            labels = [
-                (":", ":") if k is None else (names[k], f"{k}") for names, k in zip(d.names, (row, col), strict=True)
-            ]
+            ends = zip(d.names, (row, col), strict=True)
+            labels = [(":", ":") if k is None else (names[k], f"{k}") for names, k in ends]
             by_signal, by_number = (f"{m}[{r},{c}]" for r, c in zip(*labels, strict=True))
             found.append((by_number, _Part(m if structure == "matrices" else by_signal, *factors)))
     # Names by signal where they are short (room is left for the channel's prefix and number) and unambiguous.
@@ -358,29 +344,20 @@ def check_pair(
 ) -> None:
     """Check that two models, called ``first`` and ``second``, have the same sizes, sample time, signals and units."""
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
-    wrong = [
-        f"{second} {name} is {found}, expected {wanted} to match {first} {name}"
-        for name, (found, wanted) in shapes.items()
-        if found != wanted
-    ]
-    if wrong:
+    sizes = [(name, found, wanted) for name, (found, wanted) in shapes.items() if found != wanted]
+    if wrong := [f"{second} {name} is {a}, expected {b} to match {first} {name}" for name, a, b in sizes]:
         raise InputError(where, wrong[0], more=tuple(wrong[1:]))
     if nominal.dt != perturbed.dt:
         raise InputError(where, f"{second} has dt = {perturbed.dt:g} s", f"{nominal.dt:g} s to match {first}")
     for kind, prefix in (("inputs", "u"), ("outputs", "y"), ("states", "x")):
-        _check_signals(kind, prefix, (getattr(nominal, kind), getattr(perturbed, kind)), (first, second), where)
-
-
-def _check_signals(
-    kind: str, prefix: str, pair: tuple[Sequence[Signal], Sequence[Signal]], called: tuple[str, str], where: str
-) -> None:
-    (first, second), (one, other) = pair, called
-    names, others = [s.name for s in first], [s.name for s in second]
-    # Default names of signals here and in python-control.
-    unnamed = ([f"{prefix}{i + 1}" for i in range(len(first))], [f"{prefix}[{i}]" for i in range(len(first))])
-    if names != others and names not in unnamed and others not in unnamed:
-        hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None
-        raise InputError(where, f"{other} {kind} are {', '.join(others)}", f"{', '.join(names)} to match {one}", hint)
-    for a, b in zip(first, second, strict=True):
-        if a.unit and b.unit and a.unit != b.unit:
-            raise UnitMismatch(where, f"{other} {b.name} is in {b.unit}", f"{a.unit} to match {one}")
+        mine, theirs = getattr(nominal, kind), getattr(perturbed, kind)
+        names, others = [s.name for s in mine], [s.name for s in theirs]
+        # Default names of signals here and in python-control.
+        unnamed = ([f"{prefix}{i + 1}" for i in range(len(mine))], [f"{prefix}[{i}]" for i in range(len(mine))])
+        if names != others and names not in unnamed and others not in unnamed:
+            hint = f"bring them into one order with select({kind}=...)" if sorted(names) == sorted(others) else None
+            found, expected = f"{second} {kind} are {', '.join(others)}", f"{', '.join(names)} to match {first}"
+            raise InputError(where, found, expected, hint)
+        for a, b in zip(mine, theirs, strict=True):
+            if a.unit and b.unit and a.unit != b.unit:
+                raise UnitMismatch(where, f"{second} {b.name} is in {b.unit}", f"{a.unit} to match {first}")

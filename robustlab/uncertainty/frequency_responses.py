@@ -39,16 +39,6 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
         The blocks of Delta; none for plain frequency-response data.
     inputs, outputs
         Signals without the channels of Delta; ``u1``, ``y1``, ... by default.
-
-    Examples
-    --------
-    >>> from robustlab.statespace import StateSpaceModel
-    >>> lag = StateSpaceModel([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> loop = frequency_data([[2.0]], [0.0, 1.0], radius=0.1).feedback(lag)
-    >>> loop
-    UncertainFrequencyData(2 frequencies, 0 .. 1 rad/s, Delta 1 x 1, [u1] -> [y1])
-    >>> loop.response({"measured y1 from u1": 1.0})[0, 0, 0].real.round(6)
-    np.float64(0.677419)
     """
 
     omega: Array
@@ -72,9 +62,8 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
         where = "UncertainFrequencyData"
         w = real_array("omega", np.atleast_1d(omega), 1, where)
         if not len(w) or w[0] < 0 or (np.diff(w) <= 0).any():
-            raise InputError(
-                f"{where}: omega", "frequencies that do not increase from 0 on", "increasing ones, in rad/s"
-            )
+            found = "frequencies that do not increase from 0 on"
+            raise InputError(f"{where}: omega", found, "increasing ones, in rad/s")
         response = _complex("M", M, where)
         checked = as_blocks(blocks)
         q, p = structure_size(checked)
@@ -84,12 +73,9 @@ class UncertainFrequencyData(Behaviour, Displayable, Traced):
         if len(bad):
             raise InputError(f"{where}: M", f"NaN or infinite at {w[bad[0]]:g} rad/s", "finite numbers")
         response.setflags(write=False)
-        put = object.__setattr__
-        put(self, "omega", w)
-        put(self, "M", response)
-        put(self, "blocks", checked)
-        put(self, "inputs", signals(inputs, response.shape[2] - q, "u", where))
-        put(self, "outputs", signals(outputs, response.shape[1] - p, "y", where))
+        inputs = signals(inputs, response.shape[2] - q, "u", where)
+        outputs = signals(outputs, response.shape[1] - p, "y", where)
+        self.__dict__.update(omega=w, M=response, blocks=checked, inputs=inputs, outputs=outputs)
 
     @classmethod
     def read(cls, path: str | Path, name: str = "measured", **options: Any) -> UncertainFrequencyData:

@@ -59,9 +59,7 @@ def joined(
 ) -> Part:
     """Return the wired model of all operands; y and u of the wiring are their signals in this order."""
     channels: dict[str, tuple[list[Block], list[int], list[int]]] = {}
-    u: list[int] = []
-    y: list[int] = []
-    first_in, first_out = 0, 0
+    u, y, first_in, first_out = list[int](), list[int](), 0, 0
     for m, own in parts:
         q, p = structure_size(own)
         for block, (w, z) in zip(own, block_slices(own), strict=True):
@@ -138,8 +136,7 @@ def channels_first(
 
 def unique_names(given: Sequence[Signal]) -> list[Signal]:
     """Make names unique by ``_2``, ``_3``, ..., keeping the first one."""
-    taken: set[str] = set()
-    result: list[Signal] = []
+    taken, result = set[str](), list[Signal]()
     for signal in given:
         name, count = signal.name, 1
         while name in taken:
@@ -176,13 +173,7 @@ def is_singular(product: ArrayLike) -> bool:
 def upper_lft(M: StateSpaceModel, delta: ArrayLike) -> StateSpaceModel:
     """Return ``F_u(M, Delta)`` for a constant real Delta (q, p) on the first q inputs and p outputs of M."""
     d = np.asarray(delta)
-    if np.iscomplexobj(d):
-        hint = "a complex Delta acts on frequency responses only"
-        raise InputError("upper_lft", "a complex Delta", "a real one", hint)
     (q, p), n = d.shape, M.n_states
-    if q > M.n_inputs or p > M.n_outputs:
-        found = f"Delta is {d.shape}, M has {M.n_inputs} inputs and {M.n_outputs} outputs"
-        raise InputError("upper_lft", found, "a smaller Delta")
     around = M.D[:p, :q] @ d
     if is_singular(around):
         raise NoTrustworthyNumber("upper_lft", "I - D11 Delta is singular: this Delta makes the model ill-posed")
@@ -240,10 +231,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         if model.n_inputs < q or model.n_outputs < p:
             found = f"M has {model.n_inputs} inputs and {model.n_outputs} outputs"
             raise InputError("UncertainModel", found, f"at least {q} and {p}: the blocks' channels come first")
-        put = object.__setattr__
-        put(self, "M", model)
-        put(self, "blocks", checked)
-        put(self, "operating_point", operating_point)
+        self.__dict__.update(M=model, blocks=checked, operating_point=operating_point)
 
     @property
     def delta_shape(self) -> tuple[int, int]:
@@ -269,9 +257,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     def nominal(self) -> StateSpaceModel:
         """Return the model at Delta = 0."""
         (q, p), m = self.delta_shape, self.M
-        return StateSpaceModel(
-            m.A, m.B[:, q:], m.C[p:], m.D[p:, q:], m.dt, m.inputs[q:], m.outputs[p:], m.states, self.operating_point
-        )
+        signals = m.inputs[q:], m.outputs[p:], m.states
+        return StateSpaceModel(m.A, m.B[:, q:], m.C[p:], m.D[p:, q:], m.dt, *signals, self.operating_point)
 
     def to_model(self) -> StateSpaceModel:
         """Return the nominal model, for functions that take a model."""
@@ -293,13 +280,13 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         """
         constant, dynamic = self._split(delta)
         (q, p), m = constant.shape, self.M
+        if np.iscomplexobj(constant):
+            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
         if not dynamic:
             try:
                 return upper_lft(m, constant)
             except NoTrustworthyNumber as error:
                 raise NoTrustworthyNumber("evaluate", f"{error.found} ({self.named(delta)})") from None
-        if np.iscomplexobj(constant):
-            raise InputError("evaluate", "a complex Delta", "real numbers or models", "use response(omega, delta)")
         system = self._delta_system(constant, dynamic)
         if is_singular(m.D[:p, :q] @ system.D):
             found = f"I - D11 D_Delta is singular: this Delta makes the model ill-posed ({self.named(delta)})"
@@ -348,9 +335,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
                 texts.append(f"{b.name} = a {'model' if isinstance(value, StateSpaceModel) else 'matrix'}")
                 continue
             text = f"{b.name} = {complex(np.asarray(value).reshape(())):.6g}".replace("+0j", "")
-            if b.parameter is not None:
-                parameter = b.parameter
-                text += f": {parameter.value(float(np.real(value))):.6g} {parameter.unit}".rstrip()
+            if p := b.parameter:
+                text += f": {p.value(float(np.real(value))):.6g} {p.unit}".rstrip()
             texts.append(text)
         return "Delta: " + (", ".join(texts[:12]) + (", ..." if len(texts) > 12 else "") or "none")
 
@@ -391,14 +377,13 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
 
     def impossible(self, delta: Mapping[str, Any]) -> tuple[str, ...]:
         """Return remarks on the physically impossible parameter values of a Delta (see `ParameterRange.impossible`)."""
-        found = []
-        for b in self.blocks:
-            if b.parameter is not None and b.name in delta:
-                value = b.parameter.value(float(np.real(delta[b.name])))
-                if why := b.parameter.impossible(value):
-                    text = f"{b.name} = {value:.6g} {b.parameter.unit}".rstrip()
-                    found.append(f"{text} is physically impossible ({why}): no real plant is this one")
-        return tuple(found)
+        ranges = {b.name: b.parameter for b in self.blocks if b.parameter is not None and b.name in delta}
+        values = [(name, r, r.value(float(np.real(delta[name])))) for name, r in ranges.items()]
+        return tuple(
+            f"{f'{name} = {value:.6g} {r.unit}'.rstrip()} is physically impossible ({why}): no real plant is this one"
+            for name, r, value in values
+            if (why := r.impossible(value))
+        )
 
     @property
     def sampled(self) -> tuple[str, ...]:
@@ -543,9 +528,8 @@ def product(second: Any, first: Any) -> UncertainModel:
     """Return ``second @ first``, the transfer matrix :math:`G_2(s) G_1(s)`."""
     plain = statespace.product(_nominal(second), _nominal(first))
     n_y, n_u = plain.D.shape
-    g2, g1 = (
-        as_uncertain(float(g) * np.eye(n) if is_number(g) else g, "product") for g, n in ((second, n_y), (first, n_u))
-    )
+    pairs = (second, n_y), (first, n_u)
+    g2, g1 = (as_uncertain(float(g) * np.eye(n) if is_number(g) else g, "product") for g, n in pairs)
     n = len(g1.outputs)
     K, F = ones(n_u + n, n + n_y, (n_u, 0, n)), ones(n_y, n + n_y, (0, n, n_y))
     wiring = Wiring(K, ones(n_u + n, n_u, (0, 0, n_u)), F)

@@ -175,9 +175,8 @@ def _units(parts: Sequence[_Part]) -> dict[str, str]:
             if not signal.unit:
                 continue
             if units.setdefault(signal.name, signal.unit) != signal.unit:
-                raise UnitMismatch(
-                    f"connect: signal {signal.name!r}", f"[{signal.unit}] in {part.label}", stated[signal.name]
-                )
+                where, found = f"connect: signal {signal.name!r}", f"[{signal.unit}] in {part.label}"
+                raise UnitMismatch(where, found, stated[signal.name])
             for name in group[signal.name]:
                 through = "" if name == signal.name else ", for a sum adds them"
                 units.setdefault(name, signal.unit)

@@ -132,13 +132,9 @@ def as_range(name: str, given: Any) -> ParameterRange | float:
     nominal, tolerance = values
     if tolerance < 0 or (nominal == 0 and tolerance):
         expected = "a share of the nominal value, 0.1 for 10 %, not negative"
-        raise InputError(
-            where, f"relative tolerance {tolerance:g} of {nominal:g}", expected, "give (nominal, low, high)"
-        )
+        found = f"relative tolerance {tolerance:g} of {nominal:g}"
+        raise InputError(where, found, expected, "give (nominal, low, high)")
     return ParameterRange(nominal, abs(nominal) * tolerance) if tolerance else nominal
-
-
-# --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def _ranges(parameters: Mapping[str, Any]) -> tuple[dict[str, ParameterRange], dict[str, float]]:
@@ -170,12 +166,11 @@ def _entries(A: Any, B: Any, C: Any, D: Any) -> tuple[Table, int]:
         if len(given) != height or widths - {width}:
             found = f"{name} is {len(given)} x {'/'.join(map(str, sorted(widths))) or 0}"
             raise InputError("parametric", found, f"{height} x {width} to match A and D")
-    named = {
-        name: [[(f"{name}[{i},{j}]", entry) for j, entry in enumerate(row)] for i, row in enumerate(given)]
+    A, B, C, D = (
+        [[(f"{name}[{i},{j}]", entry) for j, entry in enumerate(row)] for i, row in enumerate(given)]
         for name, given in rows.items()
-    }
-    above = [a + b for a, b in zip(named["A"], named["B"], strict=True)]
-    return above + [c + d for c, d in zip(named["C"], named["D"], strict=True)], n
+    )
+    return [left + right for left, right in zip(A + C, B + D, strict=True)], n
 
 
 def _rows(name: str, given: Any) -> list[list[Any]]:
@@ -184,9 +179,6 @@ def _rows(name: str, given: Any) -> list[list[Any]]:
         found = f"{name} is {type(given).__name__}"
         raise InputError("parametric", found, "a list of rows", "write [[...]] for one row")
     return [list(row) for row in rows]
-
-
-# --- denominators ----------------------------------------------------------------------------------------------------
 
 
 def _check_size(expressions: Sequence[Sequence[Laurent]], algebra: Algebra) -> None:
@@ -459,11 +451,8 @@ def _content(b: Laurent) -> tuple[Monomial, Fraction, Laurent]:
     exponents = {name: [dict(m).get(name, 0) for m in b.terms] for name in sorted(b.variables)}
     least = {name: max(min(e), 0) or min(max(e), 0) for name, e in exponents.items()}
     lead = b.terms[min(b.terms)]
-    return (
-        tuple((n, e) for n, e in least.items() if e),
-        lead,
-        b._times(tuple((n, -e) for n, e in least.items()), 1 / lead),
-    )
+    rest = b._times(tuple((n, -e) for n, e in least.items()), 1 / lead)
+    return tuple((n, e) for n, e in least.items() if e), lead, rest
 
 
 def _into_denominator(a: Laurent, b: Laurent) -> tuple[Laurent, Laurent]:
@@ -497,9 +486,6 @@ def _exact_quotient(a: Laurent, b: Laurent) -> Laurent | None:
         share = rest.terms[top] / b.terms[lead]
         quotient, rest = quotient + Laurent({step: share}, a.algebra), rest - b._times(step, share)
     return None
-
-
-# --- reading ---------------------------------------------------------------------------------------------------------
 
 
 def walk(

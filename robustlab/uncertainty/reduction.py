@@ -101,7 +101,9 @@ def _step(
     cols, rows = (np.concatenate([n + np.arange(part[i].start, part[i].stop) for part in slices]) for i in (0, 1))
     other_cols, other_rows = np.delete(np.arange(whole.shape[1]), cols), np.delete(np.arange(whole.shape[0]), rows)
     a, b, c = whole[rows[:, None], cols], whole[rows[:, None], other_cols], whole[other_rows[:, None], cols]
-    b, c = b / _powers(np.abs(b).max(axis=0, initial=0.0)), c / _powers(np.abs(c).max(axis=1, initial=0.0))[:, None]
+    b_sizes, c_sizes = np.abs(b).max(axis=0, initial=0.0), np.abs(c).max(axis=1, initial=0.0)
+    by_b, by_c = (np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0)))) for size in (b_sizes, c_sizes))
+    b, c = b / by_b, c / by_c[:, None]
     # The external signals balance the channels as one more channel.
     bordered = np.block([[np.abs(a), np.abs(b).sum(axis=1)[:, None]], [np.abs(c).sum(axis=0), np.zeros((1, 1))]])
     scale = balancing_factors(bordered)
@@ -122,9 +124,7 @@ def _step(
     difference = _difference((a, b, c), sizes, (t.T @ a @ t, t.T @ b, c @ t), left)
     if not difference <= UNCHANGED:
         return None
-    into, out, kept = [np.eye(n)], [np.eye(n)], []
-    inputs: list[Signal] = []
-    outputs: list[Signal] = []
+    into, out, kept, inputs, outputs = [np.eye(n)], [np.eye(n)], list[Block](), list[Signal](), list[Signal]()
     found = iter(zip(turns, np.split(scale, np.cumsum(sizes)[:-1]), strict=True))
     for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
         left_turn, right_turn = np.eye(block.rows), np.eye(block.cols)
@@ -211,11 +211,6 @@ def _difference(
     return worst
 
 
-def _powers(size: Array) -> Array:
-    """Return the power of two next to each size; one where the size is zero."""
-    return np.exp2(np.rint(np.log2(np.where(size > 0, size, 1.0))))
-
-
 # One step factors a variable out of every term that contains it: M = M0 + v L R = [I, v L] [M0; R] or [M0, L] [I; v R]
 # with a constant L or R of the smallest inner size r, so v is repeated r times. The stacked matrix goes through the
 # same step until it is constant, so that equal sub-expressions of different entries are realised once. The number of
@@ -244,12 +239,11 @@ class ConstantLft:
         from scipy.linalg import block_diag
 
         parts = [gains[name] for name in self.names]
+        n, r = len(parts), sum(len(part.names) for part in parts)
+        sides = {"d11": (r, r), "d12": (r, n), "d21": (n, r), "d22": (n, n)}
         t11, t12, t21, t22 = (
-            np.asarray(block_diag(*(getattr(part, name) for part in parts))).reshape(
-                sum(len(part.names) for part in parts) if row else len(parts),
-                sum(len(part.names) for part in parts) if col else len(parts),
-            )
-            for name, row, col in (("d11", 1, 1), ("d12", 1, 0), ("d21", 0, 1), ("d22", 0, 0))
+            np.asarray(block_diag(*(getattr(part, name) for part in parts))).reshape(size)
+            for name, size in sides.items()
         )
         around, loop = self.d11 @ t22, np.eye(len(parts))
         power = around

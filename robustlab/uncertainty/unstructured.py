@@ -137,12 +137,8 @@ def _interconnection(
     through = g.C @ x_g + g.D @ v
     y = through if at_input else through + e
     # Input of Delta: the signal before the point where E acts, for inverse forms after it.
-    seen = {
-        "output-multiplicative": through,
-        "inverse-additive": y,
-        "inverse-input-multiplicative": v,
-        "inverse-output-multiplicative": y,
-    }.get(form, u)
+    after = {"output": through, "inverse-additive": y, "inverse-input": v, "inverse-output": y}
+    seen = after.get(form.removesuffix("-multiplicative"), u)
     rates = np.vstack([g.A @ x_g + g.B @ v, left.A @ x_1 + left.B @ w, right.A @ x_2 + right.B @ seen])
     outputs = np.vstack([right.C @ x_2 + right.D @ seen, y])
     inputs = [*_channels(f"{name}.w", left.n_inputs, g.input_names), *g.inputs]

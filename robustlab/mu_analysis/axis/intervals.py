@@ -1,4 +1,7 @@
-"""Upper bounds that hold on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian."""
+"""Upper bounds on whole frequency intervals: constant D, G, extended by the eigenvalues of a Hamiltonian.
+
+Before that the model of the Delta channels is mapped to continuous time and balanced.
+"""
 
 # Phi(omega) = M^* D_z M + j (G M - M^* G^*) - beta^2 D_w is singular where j omega is an eigenvalue of H. Rounding
 # moves eigenvalues off the axis, so *every* imaginary part counts as a possible change of sign, and the sign is
@@ -14,15 +17,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable, Facts, in_words, number
-from robustlab.linear_analysis.frequency import frequency_response, solved_response
+from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.linear_analysis.frequency import frequency_response, modes_apart, narrow_frequencies, solved_response
 from robustlab.linear_analysis.matrices import balancing_factors
-from robustlab.linear_analysis.structural import strong_components
-from robustlab.mu_analysis.axis.axis_model import acting, continuous, coupled_blocks, model_frequency, typical_speed
-from robustlab.mu_analysis.matrix.skew import divided, skew_upper
+from robustlab.linear_analysis.structural import strong_components, with_hidden
+from robustlab.mu_analysis.matrix.bounds import divided, skew_upper
 from robustlab.mu_analysis.matrix.structure import depths, entries, hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.norms.claims import Numbers, block_rows, loop_numbers
@@ -31,6 +35,9 @@ from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 
+MOST = 1e100  # largest entry of M that is accepted
+HIDDEN = 1e-8  # share of the largest eigenvalue of a Gramian below which a direction counts as hidden
+TINY = 1e-100  # norm of A below which Gramians overflow or vanish
 FREQUENCIES = 8  # at which D, G are computed together
 SLACK = 1e-5  # relative reduction of beta in the Hamiltonian: separates double roots
 SLOW_PROGRESS = 0.97  # share of the open axis that a round may leave open before the level is raised
@@ -39,6 +46,127 @@ IDLE = 8  # rounds in which points stay above a level that is not raised
 SKEWED = 4  # bounds of mu that one skewed bound costs: counts work only
 PROBES = 12  # frequencies at which a sign is tested to find an end, or a change missed by the eigenvalues
 NEIGHBOURS = 4  # ends and middles on each side that are tested at once
+
+
+def check_nominal(uncertain: UncertainModel, where: str) -> None:
+    """Reject an argument that is no uncertain model, and a model whose nominal member is not stable."""
+    if not isinstance(uncertain, UncertainModel):
+        raise InputError(where, type(uncertain).__name__, "an UncertainModel")
+    _check_magnitude(uncertain.M, where)
+    poles = uncertain.M.poles()
+    if not len(poles) or uncertain.M.is_stable():
+        return
+    worst = poles[np.abs(poles).argmax() if uncertain.M.is_discrete else poles.real.argmax()]
+    found = with_hidden(f"nominal closed loop unstable (pole {worst.real:.6g}{worst.imag:+.6g}j)", uncertain.M)
+    hint = "close the loop first (UncertainModel.close), or drop an integrator that feeds nothing back"
+    raise NoTrustworthyNumber(where, found, "a stable nominal model", hint)
+
+
+def continuous(model: StateSpaceModel) -> StateSpaceModel:
+    """Balance the model, narrow peaks in separate states; map a discrete one by ``s = (z - 1) / (z + 1)``."""
+    model = modes_apart(model)
+    A, B, C, D = model.A, model.B, model.C, model.D
+    n = model.n_states
+    if not n:
+        return StateSpaceModel(A, B, C, D)
+    if model.is_discrete:
+        # z = (1 + s) / (1 - s): s x' = (A + I)^-1 (A - I) x + ...
+        plus = np.linalg.inv(A + np.eye(n))
+        A, B, C, D = plus @ (A - np.eye(n)), np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B
+    _check_magnitude(StateSpaceModel(A, B, C, D), "frequency axis")
+    scale = balancing_factors(A)
+    return _balanced(StateSpaceModel(A / scale[:, None] * scale, B / scale[:, None], C * scale[None, :], D))
+
+
+def _balanced(model: StateSpaceModel) -> StateSpaceModel:
+    """Return the stable model in balanced states, sorted by their Hankel singular values."""
+    # These do not depend on the states of the given model, and are no farther from normal than its transfer function:
+    # in others the eigenvalues of a Hamiltonian matrix may be wrong in the fourth digit.
+    from scipy.linalg import solve_continuous_lyapunov
+
+    A, B, C = model.A, model.B, model.C
+    limit = 1e-6 * -model.poles().real.max() / np.finfo(float).eps
+    if not (B.any() and C.any() and TINY < np.linalg.norm(A) < limit):
+        return model
+    strong, loud = np.abs(B).max(), np.abs(C).max()
+    into, out = B / strong, C / loud  # squares of their own could vanish
+    reached = _square_root(solve_continuous_lyapunov(A, -into @ into.T))
+    seen = _square_root(solve_continuous_lyapunov(A.T, -out.T @ out))
+    _, sizes, turn = np.linalg.svd(seen.T @ reached)
+    T = reached @ turn.T / np.sqrt(sizes) * (np.sqrt(strong) / np.sqrt(loud))
+    T *= np.where(np.linalg.solve(T, B).sum(axis=1) < 0, -1.0, 1.0)
+    A, B = (np.linalg.solve(T, matrix) for matrix in (A @ T, B))
+    return StateSpaceModel(A, B, C @ T, model.D) if np.linalg.norm(A) * np.linalg.cond(T) < limit else model
+
+
+def _square_root(gramian: AnyArray) -> AnyArray:
+    sizes, vectors = np.linalg.eigh(gramian)
+    return vectors * np.sqrt(np.maximum(sizes, HIDDEN * sizes[-1]))
+
+
+def _check_magnitude(model: StateSpaceModel, where: str) -> None:
+    """Reject a model whose products of entries overflow."""
+    size = max(np.abs(m).max(initial=0.0) for m in (model.A, model.B, model.C, model.D))
+    if not size <= MOST:
+        hint = "choose other units of time, of signals, or of the parameters"
+        raise NoTrustworthyNumber(where, f"an entry of {size:.3g} in M", f"at most {MOST:g}", hint)
+
+
+def frequencies(omega: ArrayLike | None, where: str) -> Array:
+    """Check and return frequencies in rad/s for the curves of a figure; none where None is given."""
+    grid = np.atleast_1d(np.asarray([] if omega is None else omega, dtype=float))
+    if grid.ndim != 1 or not np.isfinite(grid).all() or (grid < 0).any():
+        raise InputError(f"{where}: omega", "negative or not finite frequencies", "frequencies in rad/s, >= 0")
+    return grid
+
+
+def seed_frequencies(model: StateSpaceModel) -> Array:
+    """Return the frequencies of the poles of a continuous model, including narrow peaks."""
+    poles = model.poles()
+    found = np.abs(np.concatenate([poles, poles.imag]))
+    # One of those closer together than 2 %, and every narrower peak.
+    marks = np.unique(np.round(np.log(found[found > 0]) / 0.02))
+    return np.unique(np.concatenate([np.exp(marks * 0.02), narrow_frequencies(poles)]))
+
+
+def around(model: StateSpaceModel, omega: float) -> Array:
+    """Return frequencies within 5 % of a frequency, and others inside the narrow peak that it may be in."""
+    if not 0 < omega < np.inf:
+        return np.array([omega])
+    distance = np.abs(1j * omega - model.poles()).min(initial=omega)
+    width = np.linspace(-1, 1, 21)
+    return np.concatenate([[omega], omega * np.exp(0.05 * width), omega + 0.5 * distance * width])
+
+
+def typical_speed(model: StateSpaceModel) -> float:
+    """Median of the poles' moduli in rad/s; 1 without poles."""
+    poles = np.abs(model.poles())
+    return float(np.median(poles)) if len(poles) else 1.0
+
+
+def acting(model: StateSpaceModel, blocks: Sequence[Block]) -> Mask:
+    """Return which states, then blocks, act directly on which, by the zeros of A, B, C, D: ``[i, j]``, j on i."""
+    into, out = np.zeros((model.n_inputs, len(blocks))), np.zeros((len(blocks), model.n_outputs))
+    for i, (w, z) in enumerate(block_slices(blocks)):
+        into[w, i] = out[i, z] = 1
+    B, C, D = (model.B != 0) @ into, out @ (model.C != 0), out @ (model.D != 0) @ into
+    return np.block([[model.A != 0, B], [C, D]]) > 0
+
+
+def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
+    """Return the groups of blocks that act on each other in a cycle; others have mu = 0."""
+    n, acts = model.n_states, acting(model, blocks)
+    labels = strong_components(acts)
+    groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
+    return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
+
+
+def model_frequency(dt: float, omega: float) -> float:
+    """Frequency in rad/s of the model itself: ``w = 2 atan(omega) / dt`` where it was mapped."""
+    return float(2 * np.arctan(omega) / dt) if dt else float(omega)
+
+
+# --- cover ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -90,10 +218,10 @@ class AxisCover:
         return next_points(self.open, scale, count)
 
     def reported(
-        self, uncertain: UncertainModel, level: float
+        self, dt: float, level: float
     ) -> tuple[tuple[tuple[float, float, float], ...], tuple[tuple[float, float], ...]]:
         """Return pieces as ``(low, high, bound)``, at most ``level``, and open intervals, in the model's rad/s."""
-        at = partial(model_frequency, uncertain)
+        at = partial(model_frequency, dt)
         pieces = tuple((at(p.low), at(p.high), min(p.beta, level)) for p in self.pieces)
         return pieces, tuple((at(low), at(high)) for low, high in self.open)
 
@@ -212,6 +340,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
         level[~finite] = 0
         return finite & (np.linalg.eigvalsh(level)[:, -1] < ((stricter + beta) / 2) ** 2)
 
+    speed = float(np.abs(model.A).sum(axis=0).max(initial=1.0))
     candidates = _candidates(model.A, model.B @ into, out @ model.C, out @ model.D @ into, G, stricter)
     if candidates is None:
         return None
@@ -220,7 +349,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     # has moved it.
     ends = np.concatenate([[0.0], np.unique(candidates[candidates > 0])])
     points = np.append(np.repeat(ends, 2), np.inf)
-    points[1::2] = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + _speed(model))
+    points[1::2] = np.append((ends[1:] + ends[:-1]) / 2, 2 * ends[-1] + speed)
     own = 2 * int(np.searchsorted(ends, omega, side="right")) - 1
     first = max(own - NEIGHBOURS, 0)
     right = holds(np.append(points[first : own + NEIGHBOURS + 1], omega))
@@ -232,7 +361,7 @@ def extend(model: StateSpaceModel, bound: UpperBound, beta: float, omega: float)
     low += 1e-9 * min(low, omega - low)
     high -= 1e-9 * min(high, high - omega) if np.isfinite(high) else 0.0
     # Eigenvalues of H can be wrong in the first digits where D, G are extreme: probes detect this.
-    top = high if np.isfinite(high) else 1e3 * max(low, _speed(model))
+    top = high if np.isfinite(high) else 1e3 * max(low, speed)
     bottom = low if low > 0 else 1e-6 * top
     if not holds(np.concatenate([np.linspace(low, top, PROBES), np.geomspace(bottom, top, PROBES)])).all():
         return None
@@ -244,10 +373,6 @@ def _far(points: Array, right: Mask, holds: Callable[[Array], Mask]) -> float:
     while right.all() and len(right) < len(points):
         right = np.append(right, holds(points[len(right) : 2 * len(right)]))
     return float(points[len(right) - 1 if right.all() else int(right.argmin()) - 1])
-
-
-def _speed(model: StateSpaceModel) -> float:
-    return float(np.abs(model.A).sum(axis=0).max(initial=1.0))
 
 
 def _candidates(A: Array, B: AnyArray, C: AnyArray, D: AnyArray, G: ComplexArray, beta: float) -> Array | None:
@@ -277,12 +402,7 @@ def loop_axis_claims(
     plant: StateSpaceModel, K: StateSpaceModel, blocks: Sequence[Block], level: float, pieces: Sequence[Any]
 ) -> list[Claim]:
     """Return the claim that mu of the loop of P and K is at most ``level``; none where pieces cannot be joined."""
-    dt = plant.dt
-
-    def at(omega: float) -> float:
-        return float(2 * np.arctan(omega) / dt) if dt else float(omega)
-
-    scalings = joined_scalings(continuous(lower_lft(plant, K)), blocks, pieces, at)
+    scalings = joined_scalings(continuous(lower_lft(plant, K)), blocks, pieces, partial(model_frequency, plant.dt))
     if scalings is None:
         return []
     numbers = {**loop_numbers(plant, K), "blocks": block_rows(blocks), "level": np.array(level)}
@@ -293,26 +413,11 @@ def joined_scalings(
     model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Any], at: Callable[[float], float]
 ) -> Numbers | None:
     """Return the pieces as intervals in rad/s with scalings of all blocks; None where they cannot be joined."""
-    whole = _pieces_of_all_blocks(model, blocks, pieces)
-    return None if whole is None else interval_scalings(whole, at)
-
-
-def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Numbers:
-    """Return the intervals in rad/s of the model, sorted, with their scalings."""
-    ordered = sorted(pieces, key=lambda p: p.low)
-    stacks = {name: np.stack([getattr(p.bound, key) for p in ordered]).astype(complex)
-              for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
-    ends = {"low": np.array([at(p.low) for p in ordered]), "high": np.array([at(p.high) for p in ordered])}
-    return {**ends, **stacks}
-
-
-def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], pieces: Sequence[Piece]) -> list[Any] | None:
-    """Join pieces of strongly connected parts to pieces of all blocks."""
     # M is block triangular in these parts. With D of each part times 2^(-64 k), k its depth, the coupling between parts
     # is negligible; a block in no cycle has the identity.
     whole = tuple(range(len(blocks)))
     if pieces and all(p.members is None or p.members == whole for p in pieces):
-        return list(pieces)
+        return interval_scalings(pieces, at)
     acts = acting(model, blocks)
     counted = np.arange(len(acts)) >= model.n_states
     depth = depths(acts, strong_components(acts), counted)[model.n_states :]
@@ -338,4 +443,13 @@ def _pieces_of_all_blocks(model: StateSpaceModel, blocks: Sequence[Block], piece
             Dw[w[:, None], w], Dz[z[:, None], z] = scale * piece.bound.Dw, scale * piece.bound.Dz
             G[w[:, None], z] = scale * piece.bound.G
         result.append(Piece(float(low), float(high), np.inf, UpperBound(np.inf, Dw, Dz, G)))
-    return result
+    return interval_scalings(result, at)
+
+
+def interval_scalings(pieces: Sequence[Any], at: Callable[[float], float]) -> Numbers:
+    """Return the intervals in rad/s of the model, sorted, with their scalings."""
+    ordered = sorted(pieces, key=lambda p: p.low)
+    stacks = {name: np.stack([getattr(p.bound, key) for p in ordered]).astype(complex)
+              for name, key in (("D_w", "Dw"), ("D_z", "Dz"), ("G", "G"))}  # fmt: skip
+    ends = {"low": np.array([at(p.low) for p in ordered]), "high": np.array([at(p.high) for p in ordered])}
+    return {**ends, **stacks}

@@ -27,28 +27,20 @@ PERFORMANCE = "performance"  # the block that robust_performance adds; no range 
 class StabilityMargin(Bracket):
     """Largest size of a set without an unstable member, for any type of system.
 
-    Attributes
-    ----------
-    lower, upper
-        ``lower <= margin <= upper``, 1 for the set as given: stable for every member of a set ``lower`` times as large,
-        which is proved; one of size ``upper`` is unstable, inf where none was found. Where nothing is uncertain: inf
-        of a stable system, 0 of an unstable one.
-    frequency
-        Where the pole of that member crosses the stability boundary, rad/s; None where that is unknown.
-    status
-        CERTIFIED where ``lower`` is proved.
-    delta
-        The smallest unstable member found, one normalised value per block name; empty where none was.
-    notes
-        Remarks for the reader of a report.
+    ``lower``, ``upper``: ``lower <= margin <= upper``, 1 for the set as given: stable for every member of a set
+    ``lower`` times as large, which is proved; one of size ``upper`` is unstable, inf where none was found. Where
+    nothing is uncertain: inf of a stable system, 0 of an unstable one.
+    ``frequency``: Where the pole of that member crosses the stability boundary, rad/s; None where that is unknown.
+    ``status``: CERTIFIED where ``lower`` is proved.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "stable": bool, "delta": {"*": ...},
     }  # fmt: skip
 
+    #: The smallest unstable member found, one normalised value per block name; empty where none was
     delta: Mapping[str, Any]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: Remarks for the reader of a report
 
     @property
     def stable(self) -> bool | None:
@@ -65,33 +57,20 @@ class StabilityMargin(Bracket):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AxisResult(Tabular, Bracket):
-    """Evidence of a result over the whole frequency axis.
-
-    Attributes
-    ----------
-    physical
-        The values and units of the physical parameters at ``delta``.
-    omega
-        Requested frequencies of the curves for figures, rad/s.
-    intervals
-        ``(low, high, bound)`` in rad/s: proved with D, G scalings, together covering [0, inf] where the status is
-        CERTIFIED.
-    open
-        Frequency intervals for which nothing is proved.
-    proof
-        Evidence of the proved bound: pieces of the axis with their D, G, or, after branch and bound, the proved regions
-        (boxes of parameters with frequencies).
-    system, boxes
-        The set, and each box of a branch and bound with an interval proved in it, for `robustlab.verify`.
-    """
+    """Evidence of a result over the whole frequency axis."""
 
     bounded: ClassVar[str]  # what an interval bounds
 
-    physical: Mapping[str, tuple[float, str]]
-    omega: Array
+    physical: Mapping[str, tuple[float, str]]  #: The values and units of the physical parameters at ``delta``
+    omega: Array  #: Requested frequencies of the curves for figures, rad/s
+    #: ``(low, high, bound)`` in rad/s: proved with D, G scalings, together covering [0, inf] where the status is
+    #: CERTIFIED
     intervals: tuple[tuple[float, float, float], ...]
-    open: tuple[tuple[float, float], ...]
+    open: tuple[tuple[float, float], ...]  #: Frequency intervals for which nothing is proved
+    #: Evidence of the proved bound: pieces of the axis with their D, G, or, after branch and bound, the proved regions
+    #: (boxes of parameters with frequencies)
     proof: tuple[Piece, ...] | tuple[Region, ...]
+    #: The set, and each box of a branch and bound with an interval proved in it, for `robustlab.verify`
     system: UncertainModel | None = None
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
@@ -117,26 +96,20 @@ class AxisResult(Tabular, Bracket):
 class Margin(AxisResult, StabilityMargin):
     """Robust stability margin over the whole frequency axis: a `StabilityMargin` with the evidence of `AxisResult`.
 
-    Attributes
-    ----------
-    pole
-        The pole on or beyond the stability boundary of the model perturbed by ``delta``.
-    status
-        CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left, ``mu_upper`` holds on
-        the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the part that was proved.
-    mu_lower, mu_upper
-        Bounds of mu at the frequencies ``omega``; ``intervals`` has the bounds between them.
-    shares
-        Share of each block in the margin: with 1 % less range of a block it grows by share percent.
+    ``status``: CERTIFIED: ``lower`` proved on the whole axis. INCONCLUSIVE: ``open`` intervals are left,
+    ``mu_upper`` holds on the grid only. TIMEOUT: the time limit ended the proof; ``lower`` and ``open`` give the
+    part that was proved.
     """
 
     kind: ClassVar[str] = "robust stability margin"
 
     bounded: ClassVar[str] = "mu"
 
-    pole: complex | None
+    pole: complex | None  #: The pole on or beyond the stability boundary of the model perturbed by ``delta``
+    #: Bounds of mu at the frequencies ``omega``; ``intervals`` has the bounds between them
     mu_lower: Array
     mu_upper: Array
+    #: Share of each block in the margin: with 1 % less range of a block it grows by share percent
     shares: Mapping[str, float]
 
     def facts(self) -> Facts:
@@ -192,27 +165,19 @@ class PerformanceMargin(Margin):
 class WorstCaseGain(AxisResult, PeakGain):
     """Bounds of the largest gain ``sigma_max`` of any member of the set at any frequency, with their `AxisResult`.
 
-    Attributes
-    ----------
-    lower, upper, frequency
-        ``lower`` is the gain of the member at ``delta``, at ``frequency`` in rad/s (of an unstable one: of its pole);
-        ``upper`` is proved over the whole frequency axis and the whole set. Both are inf where a member is unstable.
-    delta
-        The worst Delta found, one value per block name.
-    nominal
-        Gain of the nominal member.
-    status
-        CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit ended the
-        proof; ``upper`` is the bound proved by then. INACCURATE: there is no uncertainty, and digits of the nominal
-        gain were lost.
-    nominal_gain, gain_lower, gain_upper
-        Curves over the frequencies ``omega``.
+    ``lower``, ``upper``, ``frequency``: ``lower`` is the gain of the member at ``delta``, at ``frequency`` in rad/s
+    (of an unstable one: of its pole); ``upper`` is proved over the whole frequency axis and the whole set. Both are
+    inf where a member is unstable.
+    ``status``: CERTIFIED: ``upper`` is proved. INCONCLUSIVE: it is not, and reads inf. TIMEOUT: the time limit
+    ended the proof; ``upper`` is the bound proved by then. INACCURATE: there is no uncertainty, and digits of the
+    nominal gain were lost.
     """
 
     bounded: ClassVar[str] = "gain"
 
-    delta: Mapping[str, Any]
-    nominal: float
+    delta: Mapping[str, Any]  #: The worst Delta found, one value per block name
+    nominal: float  #: Gain of the nominal member
+    #: Curves over the frequencies ``omega``
     nominal_gain: Array
     gain_lower: Array
     gain_upper: Array
@@ -222,11 +187,8 @@ class WorstCaseGain(AxisResult, PeakGain):
 
     def evidence(self) -> Facts:
         """The worst member, and the size of the proof."""
-        return [
-            ("nominal gain", number(self.nominal)),
-            ("worst member", member(self.delta, self.physical)),
-            self.size_of_proof(),
-        ]
+        worst = member(self.delta, self.physical)
+        return [("nominal gain", number(self.nominal)), ("worst member", worst), self.size_of_proof()]
 
     def details(self) -> list[Part]:
         return [Part("worst Delta found:", ("block", "delta", "parameter"), delta_rows(self.delta, self.physical))]
@@ -263,30 +225,19 @@ INSIDE = 0.95  # share of the critical Delta of the response just inside the mar
 
 @dataclass(frozen=True, eq=False)
 class CriticalResponse(AllFields, Displayable):
-    """Free responses from the critical mode: of the nominal model, just inside the margin, and at the critical Delta.
+    """Free responses from the critical mode: nominal, just inside the margin, and at the critical Delta."""
 
-    Attributes
-    ----------
-    t
-        Times in s, shape (n,).
-    outputs
-        Signals of the columns.
-    nominal, inside, critical
-        Outputs (n, n_outputs) with no Delta, with 0.95 times the critical one, and with it; the largest output of
-        the last starts at one.
-    growth
-        Size of ``critical`` over the last period divided by that over the first: 1 on the stability boundary.
-    period
-        Period in s of the critical mode; the time constant of the nominal model's slowest mode where it does not
-        oscillate.
-    """
-
-    t: Array
-    outputs: tuple[Signal, ...]
+    t: Array  #: Times in s, shape (n,)
+    outputs: tuple[Signal, ...]  #: Signals of the columns
+    #: Outputs (n, n_outputs) with no Delta, with 0.95 times the critical one, and with it; the largest output of the
+    #: last starts at one
     nominal: Array
     inside: Array
     critical: Array
+    #: Size of ``critical`` over the last period divided by that over the first: 1 on the stability boundary
     growth: float
+    #: Period in s of the critical mode; the time constant of the nominal model's slowest mode where it does not
+    #: oscillate
     period: float
 
     def facts(self) -> Facts:
@@ -315,7 +266,9 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
     k = int(np.argmin(np.minimum(np.abs(poles - aim), np.abs(np.conj(poles) - aim))))
     mode = right[:, k]
     x0 = np.real(mode) if np.abs(np.real(mode)).max() > 1e-3 else np.imag(mode)
-    period = 2 * np.pi / omega if omega > 0 else _slowest(nominal)
+    slow = nominal.poles()
+    rates = -np.log(np.abs(slow[np.abs(slow) > 0])) / nominal.dt if nominal.is_discrete else -slow.real
+    period = 2 * np.pi / omega if omega > 0 else 1 / rates.min() if (rates > 0).all() and len(rates) else 1.0
     t = np.linspace(0.0, periods * period, periods * points + 1)
     if uncertain.dt:
         t = np.arange(max(round(periods * period / uncertain.dt), 2) + 1) * uncertain.dt
@@ -333,12 +286,6 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
         growth=float(np.abs(response[t >= t[-1] - period]).max() / first),
         period=float(period),
     )
-
-
-def _slowest(nominal: StateSpaceModel) -> float:
-    poles = nominal.poles()
-    rates = -np.log(np.abs(poles[np.abs(poles) > 0])) / nominal.dt if nominal.is_discrete else -poles.real
-    return float(1 / rates.min()) if len(rates) and rates.min() > 0 else 1.0
 
 
 def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:

@@ -20,9 +20,8 @@ from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.mu_analysis.matrix.branch_and_bound import block_entries, centre_matrix, gauge, lowest
-from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.lower import FRACTIONS, lower_bounds, smallest, unit_rows
-from robustlab.mu_analysis.matrix.structure import DeltaLayout, delta_layout
+from robustlab.mu_analysis.matrix.lower import EPS, FRACTIONS, SINGULAR, lower_bounds, singularity, smallest, unit_rows
+from robustlab.mu_analysis.matrix.structure import DeltaLayout, delta_layout, delta_norm, project
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 
@@ -79,13 +78,11 @@ def _matrix_candidates(
     return [delta for _, delta in found if delta is not None], ill_posed
 
 
-def perturbed_state_matrix(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
-    """``A + B Delta (I - D Delta)^-1 C`` for Delta (q, p), or a stack of them; Inf where the loop is ill-posed."""
-    return _closed(model, delta)[0]
-
-
 def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], NDArray[Any] | None]:
-    """``A + B Delta (I - D Delta)^-1 C``, and ``(I - D Delta)^-1`` (None: the unit matrix)."""
+    """Return ``A + B Delta (I - D Delta)^-1 C`` of Delta (q, p), or a stack, and ``(I - D Delta)^-1`` (None: I).
+
+    The former is Inf where the loop is ill-posed.
+    """
     d: ComplexArray | Array = delta if delta.imag.any() else delta.real
     if not model.D.any():
         return model.A + model.B @ d @ model.C, None
@@ -107,7 +104,7 @@ def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
 
 def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
     """The pole with the largest real part for each of a stack of Deltas; inf where the loop is ill-posed."""
-    a = perturbed_state_matrix(model, delta)
+    a: ComplexArray = _closed(model, delta)[0]
     if not model.n_states:
         return np.full(len(delta), -np.inf, dtype=complex)
     finite = np.isfinite(a).all(axis=(1, 2))
@@ -244,7 +241,7 @@ def _scattered(
     turned = turned * size * 10 ** rng.uniform(-1, 0.3, (count, 1))
     row, x = (rng.standard_normal((count, n)).astype(complex) for n in (layout.q, layout.p))
     deltas = layout.deltas(turned, row, x)
-    return deltas[np.isfinite(perturbed_state_matrix(model, deltas)).all(axis=(1, 2))]
+    return deltas[np.isfinite(_closed(model, deltas)[0]).all(axis=(1, 2))]
 
 
 def _migrate(
@@ -260,42 +257,35 @@ def _migrate(
     # A pole next to the axis must move before it counts as arrived.
     close = np.minimum(1e-6 * speed, np.maximum(1e-3 * np.abs(poles.real), 100 * EPS * speed))
     phase = np.arange(len(deltas)) * 0.754877666 % 1.0
-    # Declared types: inferring them around the loop takes pyright half a minute.
-    pole: ComplexArray
-    row: ComplexArray
-    x: ComplexArray
-    new: ComplexArray
-    norms: Array
-    size: Array
-    u: ComplexArray = np.zeros((len(deltas), model.n_states), dtype=complex)
-    v: ComplexArray = u
+    new: ComplexArray  # declared: inferring it around the loop takes pyright long
     first: Array = np.zeros(len(deltas))
+    at: Directions | None = None
     for step in range(LEADING + FOLLOWING):
         try:
             # Poles may meet and leave the real axis in pairs: all eigenvalues are needed to identify the next one.
-            if step <= LEADING:
-                pole, u, v, row, x = directions(model, deltas, poles)
+            if at is None or step <= LEADING:
+                at = directions(model, deltas, poles)
             else:
-                pole, u, v, row, x = _by_inverse_iteration(model, deltas, poles, u, v)
+                at = _by_inverse_iteration(model, deltas, poles, at)
         except np.linalg.LinAlgError:
             break
         norms = layout.sizes(deltas).max(axis=1)
-        arrived = (np.abs(pole.real) <= close) & (norms < best_norm) & (norms > 0)
+        arrived = (np.abs(at.pole.real) <= close) & (norms < best_norm) & (norms > 0)
         best[arrived], best_norm[arrived] = deltas[arrived], norms[arrived]
-        goal = pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(pole))
-        new = _least_move(layout, deltas, pole, row, x, goal=goal)
+        goal = at.pole.real * (1 - 1 / (LEADING - step)) if step < LEADING else np.zeros(len(deltas))
+        new = _least_move(layout, deltas, at, goal)
         if LEADING <= step < LEADING + FOLLOWING - SCALING:
             gain = 0.3 + 0.7 * ((phase + step * 0.569840291) % 1.0)
             new = deltas + gain[:, None, None] * (new - deltas)
         elif step >= LEADING + FOLLOWING - SCALING:
-            new = _scaled_to_axis(deltas, pole, row, x)
+            new = _scaled_to_axis(deltas, at)
         size = layout.sizes(new).max(axis=1)
         first = size if step == 0 else first
         # The linearisation does not hold far away: where a loop becomes ill-posed, a whole step is useless.
         new = new * np.minimum(1.0, (first + 1.5 * norms) / np.maximum(size, 1e-300))[:, None, None]
-        moved = np.einsum("km,kmp,kp->k", row, new - deltas, x)
-        reach = 0.5 * np.abs(pole) + 1e-3 * speed
-        poles = pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-100 * speed + 1e-200))
+        moved = np.einsum("km,kmp,kp->k", at.row, new - deltas, at.x)
+        reach = 0.5 * np.abs(at.pole) + 1e-3 * speed
+        poles = at.pole + moved * np.minimum(1.0, reach / np.maximum(np.abs(moved), 1e-100 * speed + 1e-200))
         deltas = new
     return best, best_norm
 
@@ -308,29 +298,22 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
         return deltas
     deltas, norm = deltas.copy(), layout.sizes(deltas).max(axis=1)
     going, trials = np.arange(len(deltas)), len(FRACTIONS)
-    pole: ComplexArray
-    u: ComplexArray
-    v: ComplexArray
-    row: ComplexArray
-    x: ComplexArray
-    now: ComplexArray
-    aim: ComplexArray
-    tried: ComplexArray
+    tried: ComplexArray  # declared: inferring it around the loop takes pyright long
     aims = _rightmost(model, deltas)
     aims = np.where(np.isfinite(aims), aims, 0.0)
     try:
-        pole, u, v, row, x = directions(model, deltas, aims)
+        at = directions(model, deltas, aims)
         for _ in range(AXIS_ROUNDS):
             now = deltas[going]
-            aim = _least_move(layout, now, pole, row, x, goal=np.zeros(len(now)))
+            aim = _least_move(layout, now, at, np.zeros(len(now)))
             tried = (now[:, None] + FRACTIONS[None, :, None, None] * (aim - now)[:, None]).reshape(-1, *now.shape[1:])
-            back, start, row, x, u, v, pole = (np.repeat(a, trials, axis=0) for a in (now, pole, row, x, u, v, pole))
-            pole = pole + np.einsum("km,kmp,kp->k", row, tried - back, x)
+            back, at = np.repeat(now, trials, axis=0), Directions(*(np.repeat(part, trials, axis=0) for part in at))
+            start, poles = at.pole, at.pole + np.einsum("km,kmp,kp->k", at.row, tried - back, at.x)
             for _ in range(3):
-                pole, u, v, row, x = _by_inverse_iteration(model, tried, pole, u, v)
-                tried = _scaled_to_axis(tried, pole, row, x)
-            pole, u, v, row, x = _by_inverse_iteration(model, tried, pole, u, v)
-            close = np.abs(pole.real) <= 1e-7 * np.maximum(np.abs(start), 1e-9 * np.abs(model.A).max())
+                at = _by_inverse_iteration(model, tried, poles, at)
+                tried, poles = _scaled_to_axis(tried, at), at.pole
+            at = _by_inverse_iteration(model, tried, poles, at)
+            close = np.abs(at.pole.real) <= 1e-7 * np.maximum(np.abs(start), 1e-9 * np.abs(model.A).max())
             reached = np.where(close, layout.sizes(tried).max(axis=1), np.inf).reshape(-1, trials)
             best = reached.argmin(axis=1) + trials * np.arange(len(going))
             better = reached.min(axis=1) < norm[going] * (1 - LEAST_AXIS_DESCENT)
@@ -338,17 +321,24 @@ def descended(model: StateSpaceModel, layout: DeltaLayout, deltas: ComplexArray)
             if not len(going):
                 break
             deltas[going], norm[going] = tried[best], reached.min(axis=1)[better]
-            pole, u, v, row, x = (a[best] for a in (pole, u, v, row, x))
+            at = Directions(*(part[best] for part in at))
     except np.linalg.LinAlgError:
         pass
     return deltas
 
 
-Directions = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]
+class Directions(NamedTuple):
+    """A pole of each Delta, its left and right eigenvectors, ``u v = 1``, and row, x with ``d pole = row dDelta x``."""
+
+    pole: ComplexArray
+    u: ComplexArray
+    v: ComplexArray
+    row: ComplexArray
+    x: ComplexArray
 
 
 def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray) -> Directions:
-    """Return the pole next to each aim, its left and right eigenvectors, and row, x with ``d pole = row dDelta x``."""
+    """Return those of the pole next to each aim."""
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
@@ -358,13 +348,14 @@ def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray)
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.
     u = np.linalg.inv(right + 1e-13 * np.eye(right.shape[-1]))[index, k]
     v = right[index, :, k]
-    return (values[index, k], u, v, *_gradient(model, deltas, loop_inverse, u, v))
+    return Directions(values[index, k], u, v, *_gradient(model, deltas, loop_inverse, u, v))
 
 
 def _by_inverse_iteration(
-    model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, u: ComplexArray, v: ComplexArray
+    model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray, before: Directions
 ) -> Directions:
-    """As `directions`, by two steps from the former eigenvectors u, v: a tenth of the work."""
+    """As `directions`, by two steps from the former eigenvectors: a tenth of the work."""
+    u, v = before.u, before.v
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
@@ -379,7 +370,7 @@ def _by_inverse_iteration(
     u = u / np.where(np.abs(inner) < 1e-10, 1e-10, inner)[:, None]
     pole = ((u[:, None, :] @ a)[:, 0] * v).sum(axis=1)
     pole = np.where(np.abs(inner) < 1e-10, aims, pole)
-    return (pole, u, v, *_gradient(model, deltas, loop_inverse, u, v))
+    return Directions(pole, u, v, *_gradient(model, deltas, loop_inverse, u, v))
 
 
 def _gradient(
@@ -393,22 +384,20 @@ def _gradient(
     return row + ((row[:, None, :] @ deltas) @ inverse)[:, 0] @ model.D, (inverse @ x[..., None])[..., 0]
 
 
-def _least_move(
-    layout: DeltaLayout, deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray, *, goal: Array
-) -> ComplexArray:
+def _least_move(layout: DeltaLayout, deltas: ComplexArray, at: Directions, goal: Array) -> ComplexArray:
     """Return the Delta of least norm that, to first order, puts the real part of the pole at ``goal``."""
-    gains = layout.gains(row, x)
-    now = np.einsum("km,kmp,kp->k", row, deltas, x)
+    gains = layout.gains(at.row, at.x)
+    now = np.einsum("km,kmp,kp->k", at.row, deltas, at.x)
     strength = np.where(layout.real, np.abs(gains.real), np.abs(gains)).sum(axis=1)
-    tau = np.maximum((goal - pole.real + now.real) / np.maximum(strength, 1e-300), 0.0)
+    tau = np.maximum((goal - at.pole.real + now.real) / np.maximum(strength, 1e-300), 0.0)
     unit = np.where(layout.real, np.sign(gains.real), np.conj(gains) / np.maximum(np.abs(gains), 1e-300))
-    return layout.deltas(tau[:, None] * unit, row, x)
+    return layout.deltas(tau[:, None] * unit, at.row, at.x)
 
 
-def _scaled_to_axis(deltas: ComplexArray, pole: ComplexArray, row: ComplexArray, x: ComplexArray) -> ComplexArray:
+def _scaled_to_axis(deltas: ComplexArray, at: Directions) -> ComplexArray:
     """Make a Newton step on the size of Delta."""
-    slope = np.einsum("km,kmp,kp->k", row, deltas, x).real
-    factor = 1 - pole.real / np.where(np.abs(slope) < 1e-300, 1e-300, slope)
+    slope = np.einsum("km,kmp,kp->k", at.row, deltas, at.x).real
+    factor = 1 - at.pole.real / np.where(np.abs(slope) < 1e-300, 1e-300, slope)
     return deltas * np.clip(factor, 0.5, 2.0)[:, None, None]
 
 
@@ -445,7 +434,7 @@ def _mode_next_to(
 ) -> tuple[complex, Array] | None:
     """Return the pole next to ``aim`` of the member with these entries, and the derivatives of its real part."""
     delta = centre_matrix(blocks, values)
-    a = np.real(perturbed_state_matrix(model, delta.astype(complex)))
+    a = np.real(_closed(model, delta.astype(complex))[0])
     if not np.isfinite(a).all():
         return None
     poles, right = np.linalg.eig(a)
@@ -455,16 +444,13 @@ def _mode_next_to(
     if model.D.any():
         z = np.linalg.solve(np.eye(model.n_outputs) - model.D @ delta, z)
         w = np.linalg.solve(np.eye(model.n_inputs) - (delta @ model.D).T, w)
-    slopes = [
-        (w[sw] * z[sz]).sum().real if b.interval else 0.0
-        for b, (sw, sz) in zip(blocks, block_slices(blocks), strict=True)
-    ]
-    return complex(poles[k]), np.array(slopes)
+    pairs = zip(blocks, block_slices(blocks), strict=True)
+    return complex(poles[k]), np.array([(w[i] * z[j]).sum().real if b.interval else 0.0 for b, (i, j) in pairs])
 
 
 def member_poles(model: StateSpaceModel, blocks: Sequence[Block], values: Array) -> ComplexArray:
     """Return the poles of the member with these entries (n_blocks,); one at infinity where it is ill-posed."""
-    a = np.real(perturbed_state_matrix(model, centre_matrix(blocks, values).astype(complex)))
+    a = np.real(_closed(model, centre_matrix(blocks, values).astype(complex))[0])
     return np.linalg.eigvals(a).astype(complex) if np.isfinite(a).all() else np.array([complex(np.inf)])
 
 

@@ -17,24 +17,22 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget, dense, one_thread, search_budget
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
-from robustlab.mu_analysis.axis.axis_model import (
-    around,
-    check_nominal,
-    continuous,
-    frequencies,
-    model_frequency,
-    seed_frequencies,
-    typical_speed,
-)
 from robustlab.mu_analysis.axis.intervals import (
     AxisCover,
     Piece,
+    around,
+    check_nominal,
+    continuous,
     cover_axis,
     cover_parts,
     extend,
     extend_work,
+    frequencies,
+    model_frequency,
     next_points,
     remaining,
+    seed_frequencies,
+    typical_speed,
 )
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, PerformanceMargin, WorstCaseGain
 from robustlab.mu_analysis.axis.pole_migration import (
@@ -50,6 +48,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smaller_destabilising,
     smallest_destabilising,
 )
+from robustlab.mu_analysis.matrix.bounds import Gain, ascend, gain_at, gain_curves, largest_gain
 from robustlab.mu_analysis.matrix.branch_and_bound import (
     Box,
     Improved,
@@ -62,10 +61,8 @@ from robustlab.mu_analysis.matrix.branch_and_bound import (
     root_box,
     tighten,
 )
-from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singularity
-from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.skew import Gain, ascend, gain_at, gain_curves, largest_gain
-from robustlab.mu_analysis.matrix.structure import delta_layout
+from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds, singularity
+from robustlab.mu_analysis.matrix.structure import delta_layout, delta_norm
 from robustlab.mu_analysis.matrix.upper import (
     WORK,
     UpperBound,
@@ -210,7 +207,7 @@ class _Search:
     def fields(self, delta: Mapping[str, Any], notes: Sequence[str], last: str = "") -> dict[str, Any]:
         """Return the fields of every result about its proof and its Delta; empty notes are omitted."""
         uncertain = self.uncertain
-        intervals, left_open = self.cover.reported(uncertain, self.level)
+        intervals, left_open = self.cover.reported(uncertain.dt, self.level)
         if self.proof and isinstance(self.proof[0], Region):
             notes = [*notes, f"proved by branch and bound; regions of parameters and frequency: {len(self.proof)}"]
         every = [*notes, self.budget.remark, last, *uncertain.impossible(delta), *uncertain.remarks]
@@ -272,7 +269,6 @@ class _Stability(_Search):
 
     @property
     def symmetric(self) -> bool:
-        """Whether every range is symmetric."""
         return bool((lowest(self.blocks) == -1).all())
 
     def take(self, found: Destabilising | None) -> bool:
@@ -429,7 +425,6 @@ class _Stability(_Search):
         self.take(first_crossing(self.model, self.blocks, centre_matrix(self.blocks, values).astype(complex)))
 
     def answer(self, grid: Array, mu_lower: Array, mu_upper: Array, note: str) -> Margin:
-        """Return the margin with its evidence."""
         uncertain, worst, unproved = self.uncertain, self.worst, self.cover.open
         delta = delta_values(uncertain.blocks, worst.delta) if worst else {}
         upper = 1 / self.attained if self.attained else np.inf
@@ -441,7 +436,7 @@ class _Stability(_Search):
             pole, end = worst.pole, not np.isfinite(worst.pole)
             rounding = 1e-14 * np.linalg.norm(uncertain.M.A)
             at = np.inf if end else abs(pole.imag) if abs(pole.imag) > rounding else 0.0
-            frequency = model_frequency(uncertain, at)
+            frequency = model_frequency(uncertain.dt, at)
             if uncertain.M.is_discrete:
                 pole = -1.0 + 0j if end else (1 + pole) / (1 - pole)
         gaps = f"{len(unproved)} frequency intervals not proved: mu_upper holds on the grid only" if unproved else ""
@@ -466,14 +461,14 @@ class _Stability(_Search):
             return {}
         delta = self.worst.delta[None]
         try:
-            _, left, _, row, x = directions(self.model, delta, np.array([self.worst.pole]))
+            at = directions(self.model, delta, np.array([self.worst.pole]))
         except np.linalg.LinAlgError:
             return {}
-        parts = delta_layout(self.blocks).contributions(delta, row, x)[0].real
+        parts = delta_layout(self.blocks).contributions(delta, at.row, at.x)[0].real
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = parts / parts.sum()
         # Parts that cancel to rounding carry no information, nor does a pole that is not simple.
-        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9 or np.linalg.norm(left) > 1e10:
+        if not np.isfinite(shares).all() or np.abs(shares).sum() > 1e9 or np.linalg.norm(at.u) > 1e10:
             return {}
         return {b.name: float(share) for b, share in zip(self.blocks, shares, strict=True)}
 
@@ -560,7 +555,7 @@ def worst_case_gain(
     seeds = seed_frequencies(search.model)
     unstable = smallest_destabilising(continuous(uncertain.delta_channels), uncertain.blocks, seeds, seed)
     if unstable is not None and member_size(uncertain.blocks, unstable) <= 1:
-        at = model_frequency(uncertain, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
+        at = model_frequency(uncertain.dt, abs(unstable.pole.imag)) if np.isfinite(unstable.pole) else None
         search.attained, search.delta, search.frequency = np.inf, delta_values(uncertain.blocks, unstable.delta), at
         return search.answer(nominal.value, grid, "a member of the set is unstable")
     search.find_member(seeds, nominal.frequency)
@@ -591,11 +586,8 @@ class _Gain(_Search):
         rng, box = np.random.default_rng(self.seed), root_box(self.blocks)
         omega = np.unique(np.concatenate([[0.0], seeds, [self.mapped(nominal_peak)]]))
         omega = omega[np.isfinite(omega)]
-        met = [
-            (gain, float(w))
-            for w, M in zip(omega, frequency_response(self.model, omega), strict=True)
-            if (gain := largest_gain(M, self.blocks, box, rng, 4)) is not None
-        ]
+        gains = [largest_gain(M, self.blocks, box, rng, 4) for M in frequency_response(self.model, omega)]
+        met = [(gain, float(w)) for gain, w in zip(gains, omega, strict=True) if gain is not None]
         for gain, w in sorted(met, key=lambda pair: -pair[0].value)[:MEMBERS]:
             self._take(*self._maximised(gain, w, box))
 
@@ -627,7 +619,7 @@ class _Gain(_Search):
         gains = [gain_at(M, self.blocks, delta) for M in frequency_response(self.model, at)]
         sizes = [0.0 if g is None else g.value for g in gains]
         k = int(np.argmax(sizes))
-        return sizes[k], values, model_frequency(uncertain, float(at[k]))
+        return sizes[k], values, model_frequency(uncertain.dt, float(at[k]))
 
     def over_the_axis(self, first: Array, accuracy: float) -> None:
         model, box, self.cover = self.model, root_box(self.blocks), AxisCover()
@@ -636,9 +628,8 @@ class _Gain(_Search):
             model = shifted if shifted is not None and shifted.is_stable() else None
         if model is not None:
             varying = np.arange(model.n_inputs) >= model.n_inputs - self.blocks[-1].rows
-            self.cover = cover_axis(
-                model, self.blocks, self.attained, first=first, budget=self.budget, accuracy=accuracy, varying=varying
-            )
+            options: Any = {"first": first, "budget": self.budget, "accuracy": accuracy, "varying": varying}
+            self.cover = cover_axis(model, self.blocks, self.attained, **options)
         self.proof, self.level = tuple(self.cover.pieces), np.inf if self.cover.open else self.cover.beta
 
     def root(self, level: float) -> Region:
@@ -668,25 +659,21 @@ class _Gain(_Search):
         if not 0 < self.attained < np.inf or self.frequency is None:
             return 0.0
         M, delta = self.uncertain.M, np.asarray(delta_matrix(self.uncertain.blocks, self.delta))
-        q, p = delta.shape
+        (q, p), n = delta.shape, M.n_states
         left = delta @ np.linalg.inv(np.eye(p) - M.D[:p, :q] @ delta)
-        A, B = M.A + M.B[:, :q] @ left @ M.C[:p], M.B[:, q:] + M.B[:, :q] @ left @ M.D[:p, q:]
-        C, D = M.C[p:] + M.D[p:, :q] @ left @ M.C[:p], M.D[p:, q:] + M.D[p:, :q] @ left @ M.D[:p, q:]
+        onto, into = np.vstack([M.B[:, :q], M.D[p:, :q]]), np.hstack([M.C[:p], M.D[:p, q:]])
+        rest = np.block([[M.A, M.B[:, q:]], [M.C[p:], M.D[p:, q:]]])
+        whole = rest + onto @ left @ into
         # Terms that cancel in the member's matrices are rounded before they cancel.
-        across, onto = np.abs(M.B[:, :q]) @ np.abs(left), np.abs(M.D[p:, :q]) @ np.abs(left)
-        into, through = np.abs(M.C[:p]), np.abs(M.D[:p, q:])
-        sums = (
-            np.abs(M.A) + across @ into, np.abs(M.B[:, q:]) + across @ through,
-            np.abs(M.C[p:]) + onto @ into, np.abs(M.D[p:, q:]) + onto @ through,
-        )  # fmt: skip
+        terms = np.abs(rest) + np.abs(onto) @ np.abs(left) @ np.abs(into)
+        (A, B, C, D), sums = ((X[:n, :n], X[:n, n:], X[n:, :n], X[n:, n:]) for X in (whole, terms))
         s = np.exp(1j * self.frequency * M.dt) if M.is_discrete else 1j * self.frequency
         at = complex(s) if np.isfinite(self.frequency) else complex(np.inf)
         error = float(gain_rounding(A, B, C, D, np.array([at]), sums)[1][0])
         if error <= BLURRED * self.attained or not np.isfinite(at):
             return error
         # Omit modes that a zero nearly cancels: C (sI - A)^-1 in the place of |C| |(sI - A)^-1|.
-        n, eps = len(A), float(np.finfo(float).eps)
-        inverse = np.linalg.inv(at * np.eye(n) - A)
+        eps, inverse = float(np.finfo(float).eps), np.linalg.inv(at * np.eye(n) - A)
         X, terms, seen = np.abs(inverse @ B), sums[0] + abs(at) * np.eye(n), np.abs(C @ inverse)
         seen = seen + n * eps * (seen @ terms) @ np.abs(inverse)
         return n * eps * float(np.linalg.norm(sums[3] + sums[2] @ X + seen @ (terms @ X + sums[1])))

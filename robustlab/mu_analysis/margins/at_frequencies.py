@@ -19,9 +19,8 @@ from robustlab.display import Facts, Part, bracket, member, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, StabilityMargin
 from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins, Place, opened_at
-from robustlab.mu_analysis.matrix.bounds import mu
+from robustlab.mu_analysis.matrix.bounds import gain_curves, mu
 from robustlab.mu_analysis.matrix.branch_and_bound import lowest
-from robustlab.mu_analysis.matrix.skew import gain_curves
 from robustlab.norms import PeakGain
 from robustlab.result import Status
 from robustlab.tables import Table, Tabular

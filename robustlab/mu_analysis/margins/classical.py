@@ -78,8 +78,8 @@ class ClassicalMargin(Displayable):
 
     def facts(self) -> Facts:
         met, negative = ([number(c.frequency) for c in those] for those in (self.gain_crossings, self.phase_crossings))
-        crossings = [("|L| = 1 at", ", ".join(met)), ("L < 0 at", ", ".join(negative))]
-        crossings = [(label, text or "no frequency") for label, text in crossings]
+        crossings = [("|L| = 1 at", ", ".join(met) or "no frequency")]
+        crossings.append(("L < 0 at", ", ".join(negative) or "no frequency"))
         if self.gain_margin is None or self.phase_margin is None:
             return [("reason", self.reason), *crossings]
         low, high = self.gain_margin
@@ -152,9 +152,8 @@ class ClassicalMargins(Displayable):
         if self.gain_low is None or self.gain_high is None or self.phase is None:
             return next((m.reason for m in self.channels.values() if not m.stable), "the closed loop is unstable")
         gain = f"gain by factors {number(self.gain_low)} .. {number(self.gain_high)}"
-        return (
-            f"every loop alone tolerates {gain}, phase by {in_degrees(self.phase)}, {number(self.delay, 's')} of delay"
-        )
+        phase, delay = f"phase by {in_degrees(self.phase)}", f"{number(self.delay, 's')} of delay"
+        return f"every loop alone tolerates {gain}, {phase}, {delay}"
 
     def facts(self) -> Facts:
         facts, low, high = [("closed loop", "stable" if self.stable else "unstable")], self.gain_low, self.gain_high
@@ -267,9 +266,8 @@ class LoopFraction:
     def with_real_response(self) -> list[Fraction]:
         """Return ``omega^2`` of all positive frequencies where L is real; none where it is real everywhere."""
         ne, no, de, do = self.parts
-        return self._crossed(
-            no * de - ne * do, lambda x, a, b: x * b * b / (a * a + x * b * b) if a or b else Fraction(1)
-        )
+        share = lambda x, a, b: x * b * b / (a * a + x * b * b) if a or b else Fraction(1)  # noqa: E731
+        return self._crossed(no * de - ne * do, share)
 
     def _crossed(self, f: fmpz_poly, height: Callable[[Fraction, Fraction, Fraction], Fraction]) -> list[Fraction]:
         """Return the positive roots of f, rising, and the points where a height counts as touched."""
@@ -307,9 +305,8 @@ def loop_fractions(
             raise NoTrustworthyNumber("classical_margins", "a loop of infinite gain at infinite frequency")
         D, whole = D * (1 << max(exponent - scale, 0)), closed * (1 << max(scale - exponent, 0))
         N = whole - D
-        found.append(
-            LoopFraction(from_the_circle(N, n), from_the_circle(D, n), P.dt) if P.dt else LoopFraction(N, D, 0.0)
-        )
+        N, D = (from_the_circle(N, n), from_the_circle(D, n)) if P.dt else (N, D)
+        found.append(LoopFraction(N, D, P.dt))
     poles = from_the_circle(closed, n) if P.dt else closed
     return poles.degree() == n and all_left(poles), found
 

@@ -173,22 +173,18 @@ def cover(
     nominal
         Nominal model for all forms but ``pca``; by default the middle of the hull, or for a full block the candidate of
         least radius.
-    tolerance
-        Largest relative error of an entry; ``pca`` keeps the number of directions that it needs.
-    directions
-        Number of directions of ``pca``, in place of ``tolerance``.
+    tolerance, directions
+        Largest relative error of an entry, for which ``pca`` keeps the directions that it needs; or their number.
     order, excess
         Largest order of the weight; how far above the bound a weight of lower order may be.
     loop
         Function applied to a model before its gain is computed, for example ``lambda g: g.feedback(K)``.
     gain
         False: no conservatism.
-    time_limit
-        Time in s for the proof of the worst gain; None: no limit.
+    time_limit, effort
+        Time in s (None: no limit) and work of the proof of the worst gain, as in `robustlab.peak_gain`.
     progress
         Called with one short line before each step.
-    effort
-        Work of that proof, as in `robustlab.peak_gain`.
 
     Returns
     -------

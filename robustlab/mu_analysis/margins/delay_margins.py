@@ -24,8 +24,7 @@ from robustlab.delays.model import DelayedModel, as_delayed
 from robustlab.display import Facts, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid, frequency_response
-from robustlab.mu_analysis.axis.axis_model import continuous, seed_frequencies
-from robustlab.mu_analysis.axis.intervals import Piece, cover_parts
+from robustlab.mu_analysis.axis.intervals import Piece, continuous, cover_parts, seed_frequencies
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.mu_analysis.margins.classical import ClassicalMargin, ClassicalMargins, GainCrossing, PhaseCrossing
 from robustlab.mu_analysis.margins.disk_margin import (
@@ -335,9 +334,8 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
         end = min(float(coarse[size > 0.5 / most].max(initial=coarse[0])), MOST * step)
         omega = np.union1d(coarse[coarse <= end], np.arange(step, end, step))
         values = response(omega)
-        points = [
-            (w, float(response([w])[0].real)) for w in (0.0, *_zeros(lambda w: response(w).imag, omega, values.imag))
-        ]
+        real_at = (0.0, *_zeros(lambda w: response(w).imag, omega, values.imag))
+        points = [(w, float(response([w])[0].real)) for w in real_at]
         crossings = [PhaseCrossing(w, s / (s - 1.0)) for w, s in points if s < -LEAST or s > 1.0 + 0.5 / LARGEST]
         high = min((c.factor for c in crossings if c.factor >= 1), default=LARGEST)
         if most >= high:
@@ -347,10 +345,8 @@ def _classical(S: DelayedModel, stable: bool, name: str) -> ClassicalMargin:
         found = f"loop {name}: its gain at high frequencies does not fall below {1 / high:.3g}"
         hint = "a loop with a direct path through a delay: take rl.disk_margin of it"
         raise NoTrustworthyNumber("delay_classical_margins", found, "a loop whose gain falls", hint)
-    gain = [
-        GainCrossing.at(w, float(np.angle(1.0 / response([w])[0] - 1.0)) + math.pi)
-        for w in _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)
-    ]
+    one_at = _zeros(lambda w: response(w).real - 0.5, omega, values.real - 0.5)
+    gain = [GainCrossing.at(w, float(np.angle(1.0 / response([w])[0] - 1.0)) + math.pi) for w in one_at]
     kept = [c for c in crossings if c.factor <= high * (1 + 1e-9)]
     return ClassicalMargin.of(stable, gain, kept, most=LARGEST)
 

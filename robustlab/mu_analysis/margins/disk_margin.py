@@ -158,15 +158,9 @@ def in_degrees(angle: float) -> str:
 
 
 def _row(name: str, margin: DiskBounds) -> tuple[str, ...]:
-    low, high = margin.gain_margin
-    return (
-        name,
-        f"{margin.lower:.6g} .. {margin.upper:.6g}",
-        f"{number(low)} .. {number(high)}",
-        f"+-{in_degrees(margin.phase_margin)}",
-        number(margin.frequency, "rad/s", 6) or "none",
-        str(margin.status),
-    )
+    (low, high), at = margin.gain_margin, number(margin.frequency, "rad/s", 6) or "none"
+    gain, phase = f"{number(low)} .. {number(high)}", f"+-{in_degrees(margin.phase_margin)}"
+    return name, f"{margin.lower:.6g} .. {margin.upper:.6g}", gain, phase, at, str(margin.status)
 
 
 def _polar(factor: complex) -> str:

@@ -18,12 +18,11 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable
-from robustlab.mu_analysis.matrix.certificate import SINGULAR, delta_norm, singularity
-from robustlab.mu_analysis.matrix.lower import lower_bound
-from robustlab.mu_analysis.matrix.structure import relative, supply
+from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bound, singularity
+from robustlab.mu_analysis.matrix.structure import delta_norm, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
-from robustlab.uncertainty.blocks import Block, block_slices
+from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 
 
 @dataclass(frozen=True)
@@ -68,17 +67,13 @@ def gauge(blocks: Sequence[Block], values: Array) -> float:
 
 def block_entries(blocks: Sequence[Block], delta: ComplexArray) -> Array:
     """Return the value of each real block in Delta (q, p), and the size of a complex one, shape (n_blocks,)."""
-    entries = []
-    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
-        part = delta[w, z]
-        entries.append(float(part[0, 0].real) if block.interval else float(np.linalg.norm(part, 2)))
-    return np.array(entries)
+    parts = [(block, delta[w, z]) for block, (w, z) in zip(blocks, block_slices(blocks), strict=True)]
+    return np.array([part[0, 0].real if block.interval else np.linalg.norm(part, 2) for block, part in parts])
 
 
 def centre_matrix(blocks: Sequence[Block], centre: Array) -> Array:
     """Return the Delta (q, p) of a box's centre."""
-    q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
-    matrix = np.zeros((q, p))
+    matrix = np.zeros(structure_size(blocks))
     for value, block, (w, z) in zip(centre, blocks, block_slices(blocks), strict=True):
         if block.interval:
             matrix[w, z] = value * np.eye(block.rows)

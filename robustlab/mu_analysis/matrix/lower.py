@@ -12,10 +12,20 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.mu_analysis.matrix.certificate import EPS, SINGULAR, delta_norm, project, singularity
-from robustlab.mu_analysis.matrix.structure import Component, DeltaLayout, components, delta_layout, entries, expand
+from robustlab.mu_analysis.matrix.structure import (
+    Component,
+    DeltaLayout,
+    components,
+    delta_layout,
+    delta_norm,
+    entries,
+    expand,
+    project,
+)
 from robustlab.uncertainty.blocks import Block, structure_size
 
+EPS = float(np.finfo(float).eps)
+SINGULAR = 1e-11  # relative smallest singular value below which I - M Delta counts as singular
 # Relative distance of a Delta from an exactly singular one, to first order; half of it near a double root.
 NEARBY = 5e-9
 CHOSEN = 6  # candidates per matrix that are refined to rounding and verified
@@ -84,6 +94,15 @@ def _verified(
         if close and _singular_nearby(component.matrix, delta_layout(part), candidate):
             return 1 / delta_norm(blocks, delta), delta
     return best
+
+
+def singularity(M: ComplexArray, delta: ComplexArray) -> float:
+    """Return the smallest singular value of ``I - M Delta`` over ``1 + ||M Delta||``."""
+    loop = M @ delta
+    if not np.isfinite(loop).all():
+        return float("inf")
+    values = np.linalg.svd(np.eye(len(loop)) - loop, compute_uv=False)
+    return float(values[-1] / (1 + np.linalg.norm(loop, 2)))
 
 
 def _singular_nearby(M: ComplexArray, layout: DeltaLayout, delta: ComplexArray) -> bool:
@@ -319,9 +338,8 @@ def _restored(layout: DeltaLayout, delta: ComplexArray, row: ComplexArray, x: Co
     norm = np.maximum(sizes.max(axis=1, keepdims=True), 1e-300)
     room = np.where(layout.real, np.maximum(norm - sizes, LEAST_ROOM * norm), 0.0)
     total = parts.sum(axis=1, keepdims=True)
-    columns: ComplexArray = np.concatenate(
-        [total, np.where(layout.real, layout.gains(row, x) * room, 1j * parts)], axis=1
-    )
+    moves = np.where(layout.real, layout.gains(row, x) * room, 1j * parts)
+    columns: ComplexArray = np.concatenate([total, moves], axis=1)
     a, b, c = (columns.real**2).sum(axis=1), (columns.real * columns.imag).sum(axis=1), (columns.imag**2).sum(axis=1)
     ridge = 1e-13 * (a + c) + 1e-300
     a, c, missing = a + ridge, c + ridge, 1 - total[:, 0]

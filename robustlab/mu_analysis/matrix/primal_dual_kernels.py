@@ -3,7 +3,7 @@ r"""Compiled parts of the primal-dual method of `robustlab.mu_analysis.matrix.up
 
 Importing this module imports numba. The matrices have order 2 to 100: too small for LAPACK calls, so the loops are
 written out, the innermost ones over contiguous memory. No result is trusted: for any x the bound is that of
-`certificate.certified_level`.
+`upper.certified_level`.
 
 To keep numba's compilation short, nothing is allocated here, few types of arrays are passed, and kernels are called
 from as few levels as possible. The arrays are
@@ -263,7 +263,6 @@ def curvature(W, J, H, c, entries):
 
 @nb.njit(**INSIDE)
 def dot(V, x, y):
-    """Scalar product."""
     total = 0.0
     for i in range(V.shape[1]):
         total += V[x, i] * V[y, i]

@@ -36,7 +36,6 @@ class DeltaLayout:
 
     @property
     def n(self) -> int:
-        """Number of blocks."""
         return len(self.real)
 
     def gains(self, row: ComplexArray, x: ComplexArray) -> ComplexArray:
@@ -94,17 +93,24 @@ def delta_layout(blocks: Sequence[Block]) -> DeltaLayout:
             entries += [(r, c, i) for r in range(w.start, w.stop) for c in range(z.start, z.stop)]
     parts, (q, p) = np.arange(len(blocks)), structure_size(blocks)
     entry_w, entry_z, entry_block = np.array(entries, dtype=np.intp).T
-    return DeltaLayout(
-        q=q,
-        p=p,
-        real=np.array([b.interval is not None for b in blocks]),
-        full=np.array([not b.is_scalar and b.rows * b.cols > 1 for b in blocks]),
-        of_w=np.repeat(parts, [b.rows for b in blocks]),
-        of_z=np.repeat(parts, [b.cols for b in blocks]),
-        entry_w=entry_w,
-        entry_z=entry_z,
-        entry_block=entry_block,
-    )
+    real = np.array([b.interval is not None for b in blocks])
+    full = np.array([not b.is_scalar and b.rows * b.cols > 1 for b in blocks])
+    of_w, of_z = np.repeat(parts, [b.rows for b in blocks]), np.repeat(parts, [b.cols for b in blocks])
+    return DeltaLayout(q, p, real, full, of_w, of_z, entry_w, entry_z, entry_block)
+
+
+def delta_norm(blocks: Sequence[Block], delta: ComplexArray) -> float:
+    """Return the largest singular value of the blocks of Delta (q, p)."""
+    pairs = zip(blocks, block_slices(blocks), strict=True)
+    return max((block.norm(delta[w, z]) for block, (w, z) in pairs), default=0.0)
+
+
+def project(blocks: Sequence[Block], delta: ComplexArray) -> ComplexArray:
+    """Return the nearest Delta of exactly this structure."""
+    result = np.zeros(delta.shape, dtype=complex)
+    for block, (w, z) in zip(blocks, block_slices(blocks), strict=True):
+        result[w, z] = block.project(delta[w, z])
+    return result
 
 
 # --- scalings D and G ----------------------------------------------------------------------------------------------
@@ -141,10 +147,8 @@ class ScalingSpace:
         identity: list[float] = []
         for block, (w, z) in zip(self.blocks, block_slices(blocks), strict=True):
             for on_w, on_z in block.d_basis():
-                parameters.append(
-                    [(w.start + i, w.start + j, c, 1) for i, j, c in on_w]
-                    + [(self.q + z.start + i, self.q + z.start + j, -c, 0) for i, j, c in on_z]
-                )
+                first = [(w.start + i, w.start + j, c, 1) for i, j, c in on_w]
+                parameters.append(first + [(self.q + z.start + i, self.q + z.start + j, -c, 0) for i, j, c in on_z])
                 identity.append(float(all(i == j for i, j, _ in on_w)))
             for pattern in block.g_basis():
                 entries = [(w.start + i, self.q + z.start + j, -1j * c, 0) for i, j, c in pattern]
@@ -152,10 +156,9 @@ class ScalingSpace:
                 identity.append(0.0)
         flat = [entry for parameter in parameters for entry in parameter]
         self.size = len(parameters)
-        self.rows = np.array([e[0] for e in flat], dtype=int)
-        self.cols = np.array([e[1] for e in flat], dtype=int)
-        self.coefficients = np.array([e[2] for e in flat], dtype=complex)
-        self.in_w = np.array([e[3] for e in flat], dtype=float)
+        rows, cols, coefficients, in_w = zip(*flat, strict=True)
+        self.rows, self.cols = np.array(rows), np.array(cols)
+        self.coefficients, self.in_w = np.array(coefficients, dtype=complex), np.array(in_w, dtype=float)
         lengths = [len(parameter) for parameter in parameters]
         self.first = np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(int)
         # Two parameters (a real and an imaginary part) may share an entry of E: sum them.
@@ -178,10 +181,7 @@ class ScalingSpace:
         return e[:, :q, :q], -e[:, q:, q:], 1j * e[:, :q, q:]
 
 
-@lru_cache(maxsize=256)
-def scaling_space(blocks: tuple[Block, ...]) -> ScalingSpace:
-    """Return the cached scaling space of these blocks."""
-    return ScalingSpace(blocks)
+scaling_space = lru_cache(maxsize=256)(ScalingSpace)  # of a tuple of blocks
 
 
 # --- components and balancing --------------------------------------------------------------------------------------

@@ -19,12 +19,11 @@ from robustlab.budget import MILLION, Budget, dense, one_thread
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid
-from robustlab.mu_analysis.axis.axis_model import continuous
-from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, cover_axis, loop_axis_claims
+from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, continuous, cover_axis, loop_axis_claims
 from robustlab.mu_analysis.axis.margin import PERFORMANCE
 from robustlab.mu_analysis.matrix.branch_and_bound import centre_matrix
-from robustlab.mu_analysis.matrix.certificate import project
 from robustlab.mu_analysis.matrix.lower import lower_bounds
+from robustlab.mu_analysis.matrix.structure import project
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
@@ -88,33 +87,6 @@ class DKSynthesis(Tabular, Synthesis):
     r"""A robust-performance design; ``gamma`` bounds the peak of mu of ``closed_loop`` over all frequencies.
 
     ``gamma < 1`` proves stability and a gain below one for every Delta of the structure with ``|Delta| <= 1``.
-
-    Attributes
-    ----------
-    blocks
-        The structure of mu, performance block included.
-    lower
-        Lower bound of the peak of mu, attained by ``delta`` at ``frequency``; 0 where none was found.
-    frequency
-        Frequency in rad/s of ``lower``, or of the largest upper bound where ``lower`` is zero.
-    delta
-        The critical perturbation there, one value per block name, of size ``1 / lower``; empty where none was found.
-    scalings
-        D(s), G(s) of the controller's design; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``.
-    scaled_level
-        Bound proved by ``scalings`` through the norm of the scaled loop; `proved_again` repeats the proof.
-    pieces
-        Proof by constant D, G on frequency intervals that together cover the axis; empty where ``scaled_level`` is the
-        smaller bound. For a discrete loop, frequencies are those of its image in continuous time.
-    history
-        Every iterate.
-    start_mu
-        Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0.
-    lower_bound
-        Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.mu_floor`.
-    why
-        One sentence: the decrease from ``start_mu``, and the reason why mu is not smaller, if it is known: the limit
-        of every controller, or a structure in which D changes nothing.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -125,16 +97,24 @@ class DKSynthesis(Tabular, Synthesis):
         "lower_bound", "why",
     )  # fmt: skip
 
-    blocks: tuple[Block, ...]
-    lower: float
-    frequency: float
+    blocks: tuple[Block, ...]  #: The structure of mu, performance block included
+    lower: float  #: Lower bound of the peak of mu, attained by ``delta`` at ``frequency``; 0 where none was found
+    frequency: float  #: Frequency in rad/s of ``lower``, or of the largest upper bound where ``lower`` is zero
+    #: The critical perturbation there, one value per block name, of size ``1 / lower``; empty where none was found
     delta: dict[str, Any]
+    #: D(s), G(s) of the controller's design; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``
     scalings: DynamicScalings
+    #: Bound proved by ``scalings`` through the norm of the scaled loop; `proved_again` repeats the proof
     scaled_level: float
+    #: Proof by constant D, G on frequency intervals that together cover the axis; empty where ``scaled_level`` is the
+    #: smaller bound. For a discrete loop, frequencies are those of its image in continuous time.
     pieces: tuple[Piece, ...]
-    history: tuple[DKStep, ...]
-    start_mu: float
+    history: tuple[DKStep, ...]  #: Every iterate
+    start_mu: float  #: Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0
+    #: Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.mu_floor`
     lower_bound: GammaBound
+    #: One sentence: the decrease from ``start_mu``, and the reason why mu is not smaller, if it is known: the limit of
+    #: every controller, or a structure in which D changes nothing
     why: str
 
     def proved_again(self) -> float:
@@ -352,7 +332,6 @@ class RobustProblem:
         return max(best, beta * proof.gamma), (), open_doubt or doubt
 
     def _scaled(self, scalings: DynamicScalings, beta: float) -> GeneralizedPlant:
-        """Return the scaled plant, D22 included."""
         whole = plant_at_level(self.bare.whole(), self.bare.sizes, scalings, beta).whole()
         whole.D[-self.plant.n_meas :, -self.plant.n_con :] = self._continuous.D22
         return GeneralizedPlant(StateSpaceModel(*whole), self.plant.n_meas, self.plant.n_con)
@@ -376,9 +355,8 @@ class RobustProblem:
         # Each channel gets about this share of the gain of the scaled loop; the smallest level rises by its square.
         level = share * iterate.level
         u, y, x_out, x_in = (level / np.maximum(g, level) for g in gains)  # at most one
-        self.matrices = self.bare.with_channels(
-            u / np.sqrt(n_u), y / np.sqrt(n_y), STATE_SHARE * x_out * out, STATE_SHARE * x_in * into
-        )
+        x_out, x_in = STATE_SHARE * x_out * out, STATE_SHARE * x_in * into
+        self.matrices = self.bare.with_channels(u / np.sqrt(n_u), y / np.sqrt(n_y), x_out, x_in)
 
 
 def _mapped(model: StateSpaceModel) -> StateSpaceModel:
@@ -442,20 +420,17 @@ def dk(
     K0
         Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: H-infinity
         synthesis.
-    direct
-        Whether D and G may depend on the frequency; False keeps D constant.
-    mixed
-        Whether to use that real blocks are real; False treats them as complex.
+    direct, mixed
+        Whether D and G may depend on the frequency (False: constant D); whether to use that real blocks are real.
     max_order
         Largest order of the controller; default: three times the states of P, at least 24 more.
     order_rel
         Relative increase over the smallest level that is accepted for a controller of lower order, and then for one
         with slower poles. 0 requires the smallest level, whose controller is often extremely fast.
-    time_limit
-        Time limit in s for everything (default: none). Where it ends the search the status is TIMEOUT.
-    effort
-        Multiple of the usual work (one to two minutes of one core at most). The search counts its work, so that the
-        result is the same on any machine; ``reason`` reports a search that ended early.
+    time_limit, effort
+        Time limit in s for everything (default: none; where it ends the search the status is TIMEOUT); multiple of the
+        usual work (one to two minutes of one core at most), counted, so that the result is the same on any machine.
+        ``reason`` reports a search that ended early.
     progress
         Called with one line at each iterate.
 
@@ -554,7 +529,6 @@ class _Search:
 
     @property
     def best(self) -> Iterate:
-        """Iterate of smallest proved level."""
         return min(self.iterates, key=lambda iterate: iterate.level)
 
     def start(self, K0: Any) -> None:
@@ -660,9 +634,8 @@ class _Search:
         loop, cover = self.plant.close(chosen.K), AxisCover()
         if curve.peak * (1 + PROOF_ACCURACY) < chosen.level:
             peaks = curve.omega[np.argsort(-curve.levels)[:8]]
-            cover = cover_axis(
-                continuous(chosen.loop), blocks, curve.peak, first=peaks, budget=self.budget, accuracy=PROOF_ACCURACY
-            )
+            options: Any = {"first": peaks, "budget": self.budget, "accuracy": PROOF_ACCURACY}
+            cover = cover_axis(continuous(chosen.loop), blocks, curve.peak, **options)
         gamma, pieces, doubt = self.problem.certified(chosen, blocks, cover)
         if lower > gamma * (1 + 1e-6):
             raise NoTrustworthyNumber("synth dk", f"lower bound {lower:.9g} of mu above the proved {gamma:.9g}")

@@ -49,11 +49,9 @@ class Factor:
 
     @property
     def order(self) -> int:
-        """Number of states."""
         return sum(map(len, self.sections)) // 2
 
     def parameters(self) -> list[float]:
-        """Return all logarithms in a list."""
         return [self.log_gain, *chain(*self.sections)]
 
     @property
@@ -136,12 +134,10 @@ class BlockScaling:
 
     @property
     def order(self) -> int:
-        """Sum of the orders of all factors."""
         return sum(factor.order for factor in self.factors)
 
     @property
     def g_states(self) -> int:
-        """Number of states of all G."""
         return sum(len(section) for sections in self.g for section in sections)
 
     def with_section(self, k: int, one: float, two: float) -> BlockScaling:
@@ -178,7 +174,6 @@ class DynamicScalings:
 
     @property
     def mixed(self) -> bool:
-        """True where a G has states."""
         return any(part.g_states for part in self.parts)
 
     def parameters(self) -> AnyArray:
@@ -216,26 +211,21 @@ class DynamicScalings:
 
     def to_json(self) -> list[dict[str, object]]:
         return [
-            {
-                "block": block.name,
-                "factors": [vars(factor) for factor in part.factors],
-                "mixing": part.mixing,
-                "g": part.g,
-            }
+            {"block": block.name, "factors": [vars(f) for f in part.factors], "mixing": part.mixing, "g": part.g}
             for block, part in zip(self.blocks, self.parts, strict=True)
         ]
 
     def on_outputs(self, size: int = 0) -> Realisation:
         """Return ``D_z(s)``, shape (p, p), with further channels of gain 1 up to ``size``."""
-        A, B, C, D = self._diagonal(1, size)
-        T = self._mixing(1, len(D))
-        return Realisation(A, B, C, D) if T is None else Realisation(A, B @ T, C, D @ T)
+        made = self._diagonal(1, size)
+        T = self._mixing(1, len(made.D))
+        return made if T is None else made._replace(B=made.B @ T, D=made.D @ T)
 
     def on_inputs(self, size: int = 0) -> Realisation:
         """Return ``D_w(s)^{-1}``, shape (q, q), with further channels of gain 1 up to ``size``."""
-        A, B, C, D = self._diagonal(0, size)
-        T = self._mixing(0, len(D))
-        return Realisation(A, B, C, D) if T is None else Realisation(A, B, np.linalg.solve(T, C), np.linalg.solve(T, D))
+        made = self._diagonal(0, size)
+        T = self._mixing(0, len(made.D))
+        return made if T is None else made._replace(C=np.linalg.solve(T, made.C), D=np.linalg.solve(T, made.D))
 
     def coprime(self, m: int, p: int) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
         """Return ``(A, B, F, C)``, ``G_M = I + F (sI - A)^-1 B`` (m x m), ``G_N = C (sI - A)^-1 B`` (p x m)."""
@@ -287,10 +277,8 @@ class DynamicScalings:
 @lru_cache(maxsize=4096)
 def _coprime(sections: Sections) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Return ``(A, B, F, C)`` with ``G_M = 1 + F (sI - A)^-1 B`` and ``G_N = C (sI - A)^-1 B``."""
-    V, U = (
-        reduce(_in_series, [_all_pass(s[: len(s) // 2] if first else s[len(s) // 2 :]) for s in sections], _gain(1))
-        for first in (True, False)
-    )
+    halves = [s[: len(s) // 2] for s in sections], [s[len(s) // 2 :] for s in sections]
+    V, U = (reduce(_in_series, map(_all_pass, half), _gain(1)) for half in halves)
     n = len(U.A)
     A = np.zeros((2 * n, 2 * n))
     A[:n, :n], A[n:, n:] = U.A, V.A

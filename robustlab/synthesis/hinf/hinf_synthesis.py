@@ -176,9 +176,8 @@ class Search:
             return None
         u, y, x_out, x_in = (gamma / np.maximum(g, gamma * share / cap) for g in gains)
         of_states = state_share * share
-        return Regularisation(
-            share * u / np.sqrt(len(u)), share * y / np.sqrt(len(y)), float(of_states * x_out), float(of_states * x_in)
-        )
+        u, y = share * u / np.sqrt(len(u)), share * y / np.sqrt(len(y))
+        return Regularisation(u, y, float(of_states * x_out), float(of_states * x_in))
 
     def found_within(self, weights: Regularisation, gamma: float) -> Candidate | None:
         """Return the central controller of this regularisation at gamma if its loop stays below gamma."""
@@ -241,7 +240,6 @@ class Search:
 
 
 def smallest(candidates: list[Candidate]) -> Candidate | None:
-    """Return the candidate of smallest gamma."""
     return min(candidates, key=lambda c: c.gamma, default=None)
 
 
@@ -322,10 +320,9 @@ def channel_gains(loop: Realisation, sizes: tuple[int, int, int, int, int]) -> R
         return None
     u = np.linalg.norm(response[:, n_z : n_z + n_u, :n_w], axis=2).max(axis=0)
     y = np.linalg.norm(response[:, :n_z, n_w : n_w + n_y], axis=1).max(axis=0)
-    x_out, x_in = response[:, n_z + n_u :, :n_w], response[:, :n_z, n_w + n_y :]
-    return Regularisation(
-        u, y, *(float(np.linalg.norm(x, 2, axis=(1, 2)).max(initial=0.0)) if x.size else 0.0 for x in (x_out, x_in))
-    )
+    of_x = response[:, n_z + n_u :, :n_w], response[:, :n_z, n_w + n_y :]
+    x_out, x_in = (float(np.linalg.norm(x, 2, axis=(1, 2)).max(initial=0.0)) if x.size else 0.0 for x in of_x)
+    return Regularisation(u, y, x_out, x_in)
 
 
 def trial_loop(p: PlantMatrices, K: Realisation) -> Realisation:
@@ -452,13 +449,10 @@ def synthesize(
     best = verifier.smallest(leader.candidates + other.candidates)
     if best is None:
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
-        raise NoTrustworthyNumber(
-            where,
-            f"no controller could be verified{ended} ({len(leader.candidates) + len(other.candidates)} were found by "
-            "two Riccati equations in two scalings)",
-            hint="look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21",
-            more=assumptions,
-        )
+        many = f"{len(leader.candidates) + len(other.candidates)} were found by two Riccati equations in two scalings"
+        hint = "look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21"
+        found = f"no controller could be verified{ended} ({many})"
+        raise NoTrustworthyNumber(where, found, hint=hint, more=assumptions)
     report(f"two Riccati equations: gamma {best.gamma:.6g}")
     if best.doubt:  # the controller is so fast that digits are lost
         relax(leader, best.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)

@@ -22,6 +22,7 @@ from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
 from robustlab.synthesis.problem.certify import certified, named_controller, surely_stable
 from robustlab.synthesis.problem.design import HinfSynthesis, Synthesis, design_budget, limiting_channels
 from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
+from robustlab.synthesis.specifications.weight_design import in_time_of_plant
 from robustlab.uncertainty.distances import (
     CoprimeMargin,
     CoprimeRiccati,
@@ -31,6 +32,7 @@ from robustlab.uncertainty.distances import (
     four_block,
 )
 
+TERMS = {"W1": "S", "W2": "K S", "W3": "T"}  # that a weight bounds
 SHAPED_LOSS = 1.001  # ratio of the verified gamma to the one requested above which digits count as lost
 
 
@@ -104,7 +106,7 @@ def mixed_sensitivity_plant(
     g = as_model(G, "mixsyn: G")
     if not g.n_inputs or not g.n_outputs:
         raise InputError("mixsyn: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
-    channels = {"W1": [s.name for s in g.outputs], "W2": [s.name for s in g.inputs], "W3": [s.name for s in g.outputs]}
+    channels = {"W1": g.output_names, "W2": g.input_names, "W3": g.output_names}
     given = {name: w for name, w in (("W1", W1), ("W2", W2), ("W3", W3)) if w is not None}
     if not given:
         raise InputError("mixsyn", "no weight", "at least one of W1, W2, W3")
@@ -116,14 +118,8 @@ def mixed_sensitivity_plant(
         "W3": (g.C, np.hstack([np.zeros((n_y, n_y)), g.D])),
     }
     parts = [rows[name] for name in weights] + [rows["W1"]]
-    signals = StateSpaceModel(
-        g.A,
-        np.hstack([np.zeros((n, n_y)), g.B]),
-        np.vstack([c for c, _ in parts]),
-        np.vstack([d for _, d in parts]),
-        g.dt,
-        states=g.states,
-    )
+    C, D = (np.vstack(part) for part in zip(*parts, strict=True))
+    signals = StateSpaceModel(g.A, np.hstack([np.zeros((n, n_y)), g.B]), C, D, g.dt, states=g.states)
     ends = [f"e{i}" for i in range(n_y)]
     through = StateSpaceModel([], [], [], np.eye(n_y), g.dt, ends, ends)
     filters = [
@@ -134,19 +130,16 @@ def mixed_sensitivity_plant(
     errors = [Taken(f"e {s.name}", s.unit, "r - y", s.name) for s in g.outputs]
     controls = [Signal(s.name, s.unit) for s in g.inputs]
     references = [Signal(f"r {s.name}", s.unit) for s in g.outputs]
-    outputs = [Signal(label) for name, w in weights.items() for label in _labels(name, channels[name], w.n_outputs)]
+    outputs = list[Signal]()
+    for name, w in weights.items():
+        own = channels[name] if w.n_outputs == len(channels[name]) else [str(i + 1) for i in range(w.n_outputs)]
+        outputs += [Signal(f"{name} {TERMS[name]}: {channel}") for channel in own]
     states = [f"{name} x{i + 1}" for name, w in weights.items() for i in range(w.n_states)]
     model = StateSpaceModel(
         joined.A, joined.B, joined.C, joined.D, joined.dt, [*references, *controls], [*outputs, *errors],
         [*(f"G {s.name}" for s in g.states), *states], where="mixsyn",
     )  # fmt: skip
     return GeneralizedPlant(model, n_y, n_u), weights
-
-
-def _labels(name: str, channels: list[str], n_outputs: int) -> list[str]:
-    term = {"W1": "S", "W2": "K S", "W3": "T"}[name]
-    own = channels if n_outputs == len(channels) else [str(i + 1) for i in range(n_outputs)]
-    return [f"{name} {term}: {channel}" for channel in own]
 
 
 def _stable_weight(given: Any, n: int, name: str, dt: float) -> StateSpaceModel:
@@ -173,11 +166,7 @@ def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | No
         except (TypeError, ValueError):
             raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers", hint) from None
         given = StateSpaceModel([], [], [], gain, where=where)
-    weight = as_model(given, where)
-    if not weight.n_states and weight.dt != dt:
-        weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, dt)
-    if weight.dt != dt:
-        raise InputError(where, f"dt is {weight.dt:g} s", f"{dt:g} s, as the plant")
+    weight = in_time_of_plant(as_model(given, where), dt, where)
     if n > 1 and (weight.n_inputs, weight.n_outputs) == (1, 1):
         weight = append(*(weight.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
     return weight
@@ -192,18 +181,6 @@ class NcfSynthesis(Synthesis):
 
     .. math:: \left\| \begin{bmatrix} G_s \\ I \end{bmatrix} (I - K_s G_s)^{-1}
         \begin{bmatrix} K_s & I \end{bmatrix} \right\|_\infty
-
-    Attributes
-    ----------
-    gamma_min
-        The smallest gamma of any controller, exact.
-    factor
-        The requested ratio: ``gamma <= factor gamma_min``.
-    margin
-        Verified coprime stability margin of the shaped loop, ``1/gamma``; above about 0.25 the shape of the loop is
-        kept.
-    K_shaped, shaped_plant
-        Controller of the shaped plant and that plant, ``W2 G W1``.
     """
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -211,9 +188,11 @@ class NcfSynthesis(Synthesis):
     }  # fmt: skip
     saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant")
 
-    gamma_min: float
-    factor: float
+    gamma_min: float  #: The smallest gamma of any controller, exact
+    factor: float  #: The requested ratio: ``gamma <= factor gamma_min``
+    #: Verified coprime stability margin of the shaped loop, ``1/gamma``; above about 0.25 the shape of the loop is kept
     margin: CoprimeMargin
+    #: Controller of the shaped plant and that plant, ``W2 G W1``
     K_shaped: StateSpaceModel
     shaped_plant: StateSpaceModel
 
@@ -309,21 +288,16 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     if not doubt and gamma > factor * gamma_min * SHAPED_LOSS:
         doubt = f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     proved = "loops of the shaped plant and of the plant as given are stable, with norms proved in ball arithmetic"
-    return NcfSynthesis(
-        K=K,
-        gamma=gamma,
-        closed_loop=loop,
-        status=Status.INACCURATE if doubt else Status.CERTIFIED,
-        reason=doubt or proved,
-        limit=limiting_channels(_named_channels(shaped_plant.close(inner), shaped), margin.frequency),
-        plant=plant,
-        method="ncf",
-        gamma_min=gamma_min,
-        factor=factor,
-        margin=margin,
-        K_shaped=inner,
-        shaped_plant=shaped,
+    ys, us = shaped.output_names, shaped.input_names
+    named = shaped_plant.close(inner).renamed(
+        [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
+        [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
     )
+    return NcfSynthesis(
+        K=K, gamma=gamma, closed_loop=loop, status=Status.INACCURATE if doubt else Status.CERTIFIED,
+        reason=doubt or proved, limit=limiting_channels(named, margin.frequency), plant=plant, method="ncf",
+        gamma_min=gamma_min, factor=factor, margin=margin, K_shaped=inner, shaped_plant=shaped,
+    )  # fmt: skip
 
 
 def _central(equations: CoprimeRiccati, gamma: float) -> StateSpaceModel:
@@ -353,14 +327,6 @@ def with_default_performance(plant: GeneralizedPlant, where: str) -> Generalized
         return four_block_plant(plant.model)
     require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
     return plant
-
-
-def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:
-    ys, us = [s.name for s in shaped.outputs], [s.name for s in shaped.inputs]
-    return loop.renamed(
-        [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
-        [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
-    )
 
 
 def _bare(model: StateSpaceModel) -> StateSpaceModel:

@@ -236,9 +236,8 @@ class PerformanceMeasure:
     def text(self) -> str:
         """The measure in words."""
         if self.name == "mu":
-            return "mu of robust performance, at all frequencies" + (
-                " (by the design's scalings)" if self.scaled else ""
-            )
+            by = " (by the design's scalings)" if self.scaled else ""
+            return f"mu of robust performance, at all frequencies{by}"
         return {"hinf": "H-infinity norm", "h2": "H2 norm"}[self.name]
 
     @property
@@ -252,9 +251,8 @@ class PerformanceMeasure:
         if self.name == "mu" and self.scaled is None:
             part = self.budget.share(min(1.0, MARGIN_WORK / max(self.budget.left, 1.0)))
             with suppress(NoTrustworthyNumber):  # the nominal loop is not stable
-                margin = robust_stability(
-                    with_performance(UncertainModel(loop, self.blocks)), tolerance=1e-3, budget=part
-                )
+                performing = with_performance(UncertainModel(loop, self.blocks))
+                margin = robust_stability(performing, tolerance=1e-3, budget=part)
         else:
             self.budget.spend(dense(loop.n_states, 2 if self.name == "h2" else 12))
         norm = h2_by_gramians(loop) if self.name == "h2" else hinf_norm(loop)

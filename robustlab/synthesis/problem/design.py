@@ -24,32 +24,20 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Design(Displayable):
-    """A controller and the proved bound of its loop: base of the results of synthesis for every kind of plant.
-
-    Attributes
-    ----------
-    K
-        The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs record what they take.
-    gamma
-        Verified upper bound of the objective (see the docstring of the method).
-    closed_loop
-        The lower LFT of plant and K, from w to z.
-    status
-        CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
-        TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K.
-        It is about ``gamma`` of this K, not about optimality.
-    reason
-        Why the method stopped, and how much of the result is proved.
-    """
+    """A controller and the proved bound of its loop: base of the results of synthesis for every kind of plant."""
 
     quantities: ClassVar[Mapping[str, Any]] = {"gamma": float}
     saved: ClassVar[tuple[str, ...]] = ("status", "gamma", "reason", "K")  # attributes that `to_json` gives
 
+    #: The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs record what they take
     K: Any
-    gamma: float
-    closed_loop: Any
+    gamma: float  #: Verified upper bound of the objective (see the docstring of the method)
+    closed_loop: Any  #: The lower LFT of plant and K, from w to z
+    #: CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
+    #: TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K. It is
+    #: about ``gamma`` of this K, not about optimality.
     status: Status
-    reason: str
+    reason: str  #: Why the method stopped, and how much of the result is proved
 
     def headline(self) -> str:
         return f"A controller of {number(self.K.n_states)} states, gamma {self._gamma_text()}"
@@ -63,19 +51,7 @@ class Design(Displayable):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Synthesis(Design):
-    """A controller that was verified in the loop rebuilt from it.
-
-    Attributes
-    ----------
-    K, gamma, closed_loop, status, reason
-        As in `Design`.
-    limit
-        The channels with the largest share in the peak.
-    plant
-        The generalised plant, so that the result can be checked again.
-    method
-        Name of the design method.
-    """
+    """A controller that was verified in the loop rebuilt from it."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "order": "1", "stable": bool, "gamma": float, "fastest_controller_pole": float, "closed_loop_abscissa": float,
@@ -87,9 +63,9 @@ class Synthesis(Design):
 
     K: StateSpaceModel
     closed_loop: StateSpaceModel
-    limit: str
-    plant: GeneralizedPlant
-    method: str
+    limit: str  #: The channels with the largest share in the peak
+    plant: GeneralizedPlant  #: The generalised plant, so that the result can be checked again
+    method: str  #: Name of the design method
 
     def to_model(self) -> StateSpaceModel:
         """Return K, so that a design can be used as a controller."""
@@ -159,23 +135,7 @@ class Synthesis(Design):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HinfSynthesis(Synthesis):
-    """An H-infinity design; ``gamma`` bounds the H-infinity norm of ``closed_loop``.
-
-    Attributes
-    ----------
-    peak_frequency
-        Frequency in rad/s at which the closed loop attains its norm.
-    smallest_gamma
-        Smallest verified gamma of the search; K may be a slower controller within the allowed ratio of it.
-    norm
-        The bracket of the closed loop's norm.
-    lower_bound
-        Lower bound of gamma over all stabilising controllers, and how it is known.
-    assumptions
-        The textbook assumptions that the plant does not meet, in words; the search regularised where there are any.
-    weights
-        Weights of a mixed-sensitivity problem, by name.
-    """
+    """An H-infinity design; ``gamma`` bounds the H-infinity norm of ``closed_loop``."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **Synthesis.quantities,
@@ -186,11 +146,14 @@ class HinfSynthesis(Synthesis):
         "assumptions",
     )  # fmt: skip
 
-    peak_frequency: float
+    peak_frequency: float  #: Frequency in rad/s at which the closed loop attains its norm
+    #: Smallest verified gamma of the search; K may be a slower controller within the allowed ratio of it
     smallest_gamma: float
-    norm: HinfNorm
-    lower_bound: GammaBound
+    norm: HinfNorm  #: The bracket of the closed loop's norm
+    lower_bound: GammaBound  #: Lower bound of gamma over all stabilising controllers, and how it is known
+    #: The textbook assumptions that the plant does not meet, in words; the search regularised where there are any
     assumptions: tuple[str, ...]
+    #: Weights of a mixed-sensitivity problem, by name
     weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
 
     def _gamma_text(self) -> str:

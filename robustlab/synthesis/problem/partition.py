@@ -33,7 +33,6 @@ class Realisation(NamedTuple):
 
     @classmethod
     def of(cls, model: StateSpaceModel) -> Realisation:
-        """Return the matrices of a model."""
         return cls(model.A, model.B, model.C, model.D)
 
 
@@ -106,10 +105,8 @@ class GeneralizedPlant(Displayable):
     blocks: tuple[Block, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, count, most in (
-            ("n_meas", self.n_meas, self.model.n_outputs),
-            ("n_con", self.n_con, self.model.n_inputs),
-        ):
+        sizes = ("n_meas", self.n_meas, self.model.n_outputs), ("n_con", self.n_con, self.model.n_inputs)
+        for name, count, most in sizes:
             if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or not 1 <= count <= most:
                 raise InputError("generalised plant", f"{name} is {count!r}", f"a whole number from 1 to {most}")
 
@@ -153,7 +150,6 @@ class GeneralizedPlant(Displayable):
         return GeneralizedPlant(bilinear_to_continuous(self.model), self.n_meas, self.n_con)
 
     def to_model(self) -> StateSpaceModel:
-        """Return the model."""
         return self.model
 
     def facts(self) -> Facts:
@@ -173,9 +169,8 @@ def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: s
             raise InputError(where, f"n_meas={n_meas}, n_con={n_con}", f"{P.n_meas} and {P.n_con}, or leave them out")
         return P
     if n_meas is None or n_con is None:
-        raise InputError(
-            where, "n_meas or n_con is missing", "the numbers of measurements and of controls (they come last in P)"
-        )
+        expected = "the numbers of measurements and of controls (they come last in P)"
+        raise InputError(where, "n_meas or n_con is missing", expected)
     if isinstance(P, UncertainModel):
         return GeneralizedPlant(P.M, n_meas, n_con, P.blocks)
     return GeneralizedPlant(as_model(P, f"{where}: P"), n_meas, n_con)
@@ -214,10 +209,8 @@ def generalized_plant(
         StateSpaceModel, UncertainModel (its perturbation channels come first) or python-control object.
     measurements, controls
         Names of the measured outputs y and of the inputs u that the controller drives.
-    disturbances
-        Names of the inputs w; all inputs except the controls where left out.
-    performance
-        Names of the outputs z; all outputs where left out.
+    disturbances, performance
+        Names of the inputs w and outputs z; all inputs except the controls, and all outputs, where left out.
 
     Returns
     -------
@@ -244,9 +237,8 @@ def generalized_plant(
     w = w if disturbances is None else signal_positions(disturbances, ins, an_input)
     z = signal_positions(performance, outs, an_output)
     if set(u) & set(w):
-        raise InputError(
-            "generalized_plant", "an input is both disturbance and control", "two inputs (add one to the model)"
-        )
+        found = "an input is both disturbance and control"
+        raise InputError("generalized_plant", found, "two inputs (add one to the model)")
     columns = [*range(q), *(q + i for i in [*w, *u])]
     rows = [*range(p), *(p + i for i in [*z, *y])]
     measured = [_measured(m.outputs[p + i], copied=i in z) for i in y]
@@ -287,7 +279,6 @@ class Scaling:
         return replace(self, rate=1.0)
 
     def apply(self, p: PlantMatrices) -> PlantMatrices:
-        """Scale the plant."""
         t, u, y, w, z = self.states, self.u, self.y[:, None], self.w, self.z
         rows = t[:, None] * self.rate
         with np.errstate(over="ignore", under="ignore"):

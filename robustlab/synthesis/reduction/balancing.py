@@ -283,13 +283,8 @@ def _dilated(m: StateSpaceModel, values: AnyArray, k: int, unitary: bool = False
     root = np.sqrt(np.abs(gamma))
     inverse = (np.sign(gamma) / root)[:, None]
     middle = level**2 * a.T + s[:, None] * a * s - level * c.T @ u @ b.T
-    dilated = StateSpaceModel(
-        inverse * middle / root,
-        inverse * (s[:, None] * b + level * c.T @ u),
-        (c * s + level * u @ b.T) / root,
-        m.D - level * u,
-    )
-    return dilated, s
+    B, C = inverse * (s[:, None] * b + level * c.T @ u), (c * s + level * u @ b.T) / root
+    return StateSpaceModel(inverse * middle / root, B, C, m.D - level * u), s
 
 
 def nearest_in_hankel_norm(model: StateSpaceModel, balancing: Balancing, order: int) -> StateSpaceModel:

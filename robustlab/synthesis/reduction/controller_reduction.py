@@ -206,11 +206,9 @@ def _descended(
     reference, budget, plant = judge.certified(full), judge.budget, judge.gramian_plant
     if not np.isfinite(reference.value) or not reference.status.trustworthy:
         reason = getattr(reference.evidence, "reason", "") or reference.doubt or reference.status
-        raise NoTrustworthyNumber(
-            WHERE,
-            f"the loop with the full controller has no trustworthy {judge.text} ({reason})",
-            hint=None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full),
-        )
+        found = f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
+        hint = None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full)
+        raise NoTrustworthyNumber(WHERE, found, hint=hint)
     limit = np.inf if order is not None else (1 + allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
     how, chosen, performance, failed = "", full, reference, 0
@@ -236,9 +234,8 @@ def _descended(
         failed = 0 if enough else failed + 1
     if order is not None and chosen is full and order < full.n_states:
         ended = f" ({budget.remark})" if budget.remark else ""
-        raise NoTrustworthyNumber(
-            WHERE, f"no controller of order {order} could be verified{ended}", hint="a higher order"
-        )
+        found = f"no controller of order {order} could be verified{ended}"
+        raise NoTrustworthyNumber(WHERE, found, hint="a higher order")
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
     status, reason = final_status(performance.status, [reason], budget, "a lower order")
     loop = judge.plant.close(chosen)

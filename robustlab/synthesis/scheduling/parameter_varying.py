@@ -121,10 +121,8 @@ class LPVModel(Behaviour, Displayable, Traced):
             _require_name("LPVModel", name, tuple(points))
         if not points:
             raise InputError("LPVModel", "no parameter", "at least one", "a model without any is a StateSpaceModel")
-        found = [
-            SchedulingParameter(n, tuple(np.atleast_1d(p)), rates.get(n, np.inf), units.get(n, ""))
-            for n, p in points.items()
-        ]
+        each = ((n, tuple(np.atleast_1d(p)), rates.get(n, np.inf), units.get(n, "")) for n, p in points.items())
+        found = [SchedulingParameter(*one) for one in each]
         grid, flat = tuple(len(p.points) for p in found), [as_model(m, "LPVModel: models") for m in models]
         if len(flat) != int(np.prod(grid)):
             raise InputError("LPVModel", f"{len(flat)} models", f"{' x '.join(map(str, grid))}, one for each point")
@@ -422,9 +420,8 @@ def _proved_deviation(source: Any, entries: Sequence[Array]) -> Array:
         at = np.abs(np.linalg.inv(np.eye(p) - inner @ middle))
         loop = size @ radius @ at
         if loop.size and not np.abs(np.linalg.eigvals(loop)).max() < 1 - 1e-6:
-            raise NoTrustworthyNumber(
-                "lpv_model", "a cell so wide that the set may not be well posed in it", None, "give more points"
-            )
+            found = "a cell so wide that the set may not be well posed in it"
+            raise NoTrustworthyNumber("lpv_model", found, None, "give more points")
         W = at @ np.linalg.inv(np.eye(p) - loop)
         back = np.abs(np.linalg.inv(np.eye(q) - middle @ inner))
         V = np.linalg.inv(np.eye(q) - back @ radius @ size) @ back

@@ -357,13 +357,9 @@ class LPVSynthesis(Design):
 
 
 def scheduled_hinf(
-    plant: LPVModel,
-    n_meas: int | None,
-    n_con: int | None,
-    effort: float,
-    time_limit: float | None,
+    plant: LPVModel, n_meas: int | None, n_con: int | None, effort: float, time_limit: float | None,
     progress: Callable[[str], None] | None,
-) -> LPVSynthesis:
+) -> LPVSynthesis:  # fmt: skip
     """Compute `hinf` of an LPV model."""
     if n_meas is None or n_con is None:
         raise InputError("hinf", "n_meas or n_con is missing", "the numbers of measurements and of controls")

@@ -28,6 +28,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.signals import Signal, Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
 from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
+from robustlab.synthesis.specifications.weight_design import in_time_of_plant
 from robustlab.uncertainty.lft import UncertainModel
 
 Sizes = float | Mapping[str, float]
@@ -166,12 +167,10 @@ class TrackingProblem(Displayable):
 
     @property
     def n_meas(self) -> int:
-        """Number of inputs of the controller."""
         return len(self.controlled) + len(self.measured)
 
     @property
     def n_con(self) -> int:
-        """Number of controls."""
         return len(self.base.inputs) - len(self.loads)
 
     @property
@@ -185,7 +184,6 @@ class TrackingProblem(Displayable):
         return GeneralizedPlant(self.uncertain.nominal, self.n_meas, self.n_con)
 
     def to_uncertain(self) -> UncertainModel:
-        """Return `uncertain`."""
         return self.uncertain
 
     def on(self, G: Any, **changes: Any) -> TrackingProblem:
@@ -330,9 +328,8 @@ def _built(
     joined = series(series(before, bare), append(*filters, _each(one, n_r + len(seen), "v")))
     states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
     outputs += [*(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
-    return StateSpaceModel(
-        joined.A, joined.B, joined.C, joined.D, joined.dt, inputs, outputs, states, where="tracking problem"
-    )
+    matrices, where = (joined.A, joined.B, joined.C, joined.D), "tracking problem"
+    return StateSpaceModel(*matrices, joined.dt, inputs, outputs, states, where=where)
 
 
 def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
@@ -392,13 +389,9 @@ def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
     """Return a stable weight of one channel in the plant's time."""
     if isinstance(given, (int, float)) and not isinstance(given, bool):
         return StateSpaceModel([], [], [], [[given]], dt, where=where)
-    w = as_model(given, where)
+    w = in_time_of_plant(as_model(given, where), dt, where)
     if (w.n_inputs, w.n_outputs) != (1, 1):
         raise InputError(where, f"{w.n_inputs} inputs and {w.n_outputs} outputs", "one of each")
-    if not w.n_states and w.dt != dt:
-        w = StateSpaceModel(w.A, w.B, w.C, w.D, dt)
-    if w.dt != dt:
-        raise InputError(where, f"dt is {w.dt:g} s", f"{dt:g} s, as the plant")
     if not w.is_stable():
         found = f"spectral abscissa is {w.spectral_abscissa():.3g}"
         raise InputError(where, found, "a stable weight", "make an integrator a slow lag: error > 0")

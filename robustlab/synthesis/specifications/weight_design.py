@@ -185,6 +185,15 @@ def makeweight(
     return _lead(high, low * pole, pole, order, dt)
 
 
+def in_time_of_plant(weight: StateSpaceModel, dt: float, where: str) -> StateSpaceModel:
+    """Return a weight with the plant's sample time, which one without states can have."""
+    if not weight.n_states and weight.dt != dt:
+        weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, dt)
+    if weight.dt != dt:
+        raise InputError(where, f"dt is {weight.dt:g} s", f"{dt:g} s, as the plant")
+    return weight
+
+
 def _lead(gain: float, zero: float, pole: float, order: int = 1, dt: float = 0.0) -> StateSpaceModel:
     """Return ``((gain s + zero) / (s + pole))^order`` with input and output gains of equal size."""
     residue = zero - gain * pole

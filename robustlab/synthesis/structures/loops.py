@@ -173,12 +173,9 @@ class LoopFamily:
             right = np.linalg.inv(right)
             left, inner = np.eye(theta.shape[0]) + theta @ right @ self.D22, theta @ right
         tc, td = inner @ self.C, inner @ self.D21
-        loop = Realisation(
-            self.A + self.B @ tc, self.B1 + self.B @ td, self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
-        )
+        C, D = self.C1 + self.D12 @ tc, self.D11 + self.D12 @ td
+        loop = Realisation(self.A + self.B @ tc, self.B1 + self.B @ td, C, D)
         return _Member(loop, left, right) if all(np.isfinite(part).all() for part in loop) else None
-
-    # --- poles -------------------------------------------------------------------------------------------------------
 
     def pole(self, theta: AnyArray, measure: Any) -> tuple[complex, AnyArray] | None:
         """Return the pole with the largest ``measure(poles)`` and its complex derivative; None where there is none."""
@@ -199,8 +196,6 @@ class LoopFamily:
         if not self.discrete:
             return value.real, np.real(G)
         return abs(value) - 1.0, np.real(G * np.conj(value) / max(abs(value), 1e-300))
-
-    # --- norms -------------------------------------------------------------------------------------------------------
 
     def _image(self, theta: AnyArray) -> tuple[_Member | None, Realisation | None]:
         """Return the loop, and the same or its continuous image."""

@@ -40,11 +40,8 @@ class Limit:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            where, most = (
-                f"fixed structure: {type(self).__name__}: {field.name}",
-                1 if field.name == "ratio" else np.inf,
-            )
-            number(where, getattr(self, field.name), above=0, at_most=most)
+            where = f"fixed structure: {type(self).__name__}: {field.name}"
+            number(where, getattr(self, field.name), above=0, at_most=1 if field.name == "ratio" else np.inf)
 
     @property
     def text(self) -> str:
@@ -672,13 +669,8 @@ def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
     if not K.n_states:
         return K.A, K.B, K.C
     values, vectors = np.linalg.eig(K.A)
-    columns: list[AnyArray] = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value.imag > 0:
-            columns += [vector.real, vector.imag]
-        elif value.imag == 0:
-            columns.append(vector.real)
-    T = np.column_stack(columns)
+    pairs = [(value, vector) for value, vector in zip(values, vectors.T, strict=True) if value.imag >= 0]
+    T = np.column_stack([part for s, v in pairs for part in ((v.real, v.imag) if s.imag else (v.real,))])
     if np.linalg.cond(T) > MODES_WELL_APART:
         return K.A, K.B, K.C
     inverse = np.linalg.inv(T)
