@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from robustlab.dynamics.effects.contract import EffectParameter, Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedEquations
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.resampling import clock_step, uniform
 from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
@@ -64,8 +64,7 @@ NEGLIGIBLE = 1e-9  # of a column's own square: rounding
 class WatchedPiece(Evidence):
     """One piece of the log."""
 
-    # start, stop: its time in the log, s
-    start: float
+    start: float  # its time in the log, s
     stop: float
     evidence: float  # log of E after it; the alarm threshold is ``-log(false_alarm)``
     misfit: float  # root mean square of its errors with the learned model, over the noise
@@ -73,47 +72,27 @@ class WatchedPiece(Evidence):
 
 @dataclass(frozen=True)
 class Watch(Tabular, Evidence):
-    """Result of `watch`.
+    """Result of `watch`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: the alarm, or its absence, is valid at the stated rate. INCONCLUSIVE: no alarm, but the test could
-        use less than half of the windows.
-    verdict
-        ``"explained"``: no alarm; ``"changed"``: an alarm.
-    false_alarm
-        Requested probability of an alarm in the whole log while the model explains it.
-    alarm
-        Time of the alarm in the log in s, the end of its piece; NaN without one.
-    since, since_lower, since_upper
-        Estimated onset of the change, s, and its 95 % interval: beginnings of pieces.
-    found
-        Effects that the plant without its own lacks in the pieces since the change (`discover`): compare them with the
-        effects and parameters of the model. None without an alarm, and if those pieces are too poor.
-    pieces
-        The pieces in their order.
-    noise
-        Output -> standard deviation of its noise in one sample, as stated.
-    plant, window
-        The model; the length of the windows in s.
-    tested
-        Share of the windows that the test used, 0..1; in the others the model is not linear within the uncertainty of
-        its parameters after the first piece (a contact about to break away).
-    """
-
+    # CONVERGED: the alarm, or its absence, is valid at the stated rate. INCONCLUSIVE: no alarm, but the test could use
+    # less than half of the windows.
     status: Status
-    verdict: Literal["explained", "changed"]
-    false_alarm: float
-    alarm: float
+    verdict: Literal["explained", "changed"]  # no alarm, an alarm
+    false_alarm: float  # requested probability of an alarm in the whole log while the model explains it
+    alarm: float  # time in the log in s, the end of its piece; NaN without one
+    # estimated onset of the change, s, and its 95 % interval: beginnings of pieces
     since: float
     since_lower: float
     since_upper: float
+    # Effects that the plant without its own lacks in the pieces since the change: compare them with the effects and
+    # parameters of the model. None without an alarm, and if those pieces are too poor.
     found: Discovery | None
     pieces: tuple[WatchedPiece, ...]
-    noise: Mapping[str, float]
-    plant: str
-    window: float
+    noise: Mapping[str, float]  # output -> standard deviation of its noise in one sample, as stated
+    plant: str  # the model
+    window: float  # length of the windows, s
+    # Share of the windows that the test used; in the others the model is not linear within the uncertainty of its
+    # parameters after the first piece (a contact about to break away).
     tested: float
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -163,10 +142,8 @@ class Watch(Tabular, Evidence):
 
 def span_of(seconds: float) -> str:
     """Format a time of a log: ``38.5 s``, ``41.2 min``, ``3.1 h``."""
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if abs(seconds) >= 2.0 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.4g} s"
+    unit, size = ("h", 3600.0) if abs(seconds) >= 7200.0 else ("min", 60.0)
+    return f"{seconds / size:.1f} {unit}" if abs(seconds) >= 120.0 else f"{seconds:.4g} s"
 
 
 @one_thread()
@@ -240,30 +217,25 @@ def watch(
         if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
             highest, onsets = evidence, watched.test.evidence()
         if progress is not None:
-            word = "ALARM: " if evidence >= alarm else ""
-            count = len(watched.pieces)
-            progress(f"{word}piece {count}, up to {watched.pieces[-1].stop:.6g} s: log E = {evidence:.2f}")
+            word, stop = "ALARM: " if evidence >= alarm else "", watched.pieces[-1].stop
+            progress(f"{word}piece {len(watched.pieces)}, up to {stop:.6g} s: log E = {evidence:.2f}")
     if watched is None or len(watched.pieces) < 2:
         hint = "one record is cut into pieces by every=SECONDS"
         raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
-    result = Watch(
-        Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
-        np.nan, np.nan, np.nan, np.nan, None, pieces, watched.sizes, plant.name, watched.length * watched.dt, used,
-    )  # fmt: skip
-    if onsets is None:
-        return result
-    began, lower, upper = onset(onsets)
-    # A change may begin too late within a piece to be visible there.
-    since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
-    found = None
-    with suppress(InputError, NoTrustworthyNumber):  # too poor
-        last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
-        found = discover(plant, last, exclude=left_out)
-    stop = next(p.stop for p in pieces if p.evidence >= alarm)
-    return replace(
-        result, verdict="changed", alarm=stop, since=since, since_lower=since_lower, since_upper=since_upper,
-        found=found,
+    changed, onset_pieces, found = onsets is not None, (0, 0, 0), None
+    if onsets is not None:
+        began, lower, upper = onset(onsets)
+        # A change may begin too late within a piece to be visible there.
+        onset_pieces = began, max(lower - 1, 0), upper
+        with suppress(InputError, NoTrustworthyNumber):  # too poor
+            last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
+            found = discover(plant, last, exclude=left_out)
+    times = [pieces[k].start if changed else np.nan for k in onset_pieces]
+    return Watch(
+        Status.CONVERGED if changed or used >= 0.5 else Status.INCONCLUSIVE, "changed" if changed else "explained",
+        false_alarm, next((p.stop for p in pieces if p.evidence >= alarm), np.nan), *times, found, pieces,
+        watched.sizes, plant.name, watched.length * watched.dt, used,
     )  # fmt: skip
 
 
@@ -313,8 +285,7 @@ class _Watched:
         self.hypothesis = Hypothesis(tuple(_own(e, pool) for e in attached))
         problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
         z = np.zeros(problem.size(self.hypothesis))
-        fit = problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE))
-        fit, problem = held_inputs(problem, fit)
+        fit, problem = held_inputs(problem, problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE)))
         self.problem = problem.under(replace(problem.clock, sub=STEPS))
         learned = self.problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
         self.z = learned.z
@@ -325,9 +296,8 @@ class _Watched:
         own = [p.prior for c in self.hypothesis.candidates for p in c.parameters]
         usual += [1.0 / prior.spread if prior.kind == "log" else 1.0 for prior in own]
         self.test = ChangeTest(np.array(usual))
-        self.records: list[Record] = []
+        self.records, self.pieces = list[Record](), list[WatchedPiece]()
         self.windows = [0, 0]  # used by the test, and all
-        self.pieces: list[WatchedPiece] = []
 
     def add(self, piece: Record) -> float:
         """Fit the initial states of one more piece and update the test; return log E."""
@@ -357,13 +327,11 @@ class _Watched:
 def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, float]:
     """Return the stated noise of each recorded output."""
     for name in stated:
-        if name not in names:
-            raise unknown_name("watch: noise", f"{name!r}", name, names)
-    for name in names:
-        if name not in stated:
-            raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
-        checks.number(f"watch: noise of {name}", stated[name], "a standard deviation above 0", above=0.0)
-    return {name: float(stated[name]) for name in names}
+        checks.choice("watch: noise", name, names)
+    if missing := [name for name in names if name not in stated]:
+        raise InputError("watch: noise", f"none of {missing[0]!r}", "one for each recorded output")
+    expected = "a standard deviation above 0"
+    return {n: checks.number(f"watch: noise of {n}", stated[n], expected, above=0.0) for n in names}
 
 
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
@@ -384,7 +352,7 @@ def _about(parameter: EffectParameter, value: float, std: float) -> EffectParame
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
-    """Set up a piece's equations for the parameters about its fit, and count the windows used.
+    """Return a piece's equations about its fit, and the number of windows used.
 
     Excluded: windows in which the even part of the parameter steps ``spread`` (k, m), or halved time steps, change the
     residuals, with free initial states, by more than `MOST_BENT` (a contact about to break away).
@@ -401,9 +369,6 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
     changes = np.stack([step - here for step in steps], axis=2)
     changes -= free @ (np.swapaxes(free, 1, 2) @ changes)
     kept = ((changes**2).sum(axis=1) < MOST_BENT).all(axis=1)
-    if not kept.any():
-        zero = np.zeros((len(fit.z) + 1,) * 2)
-        return PieceEquations(zero, zero, 0, 0), 0
     here, over_z, over_x = here[kept], over_z[kept], over_x[kept]
     columns = np.nan_to_num(np.concatenate([over_z, here[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
     known, n_y = here != 0.0, len(fit.noise.std)
@@ -422,8 +387,7 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
 # --- the sequential test ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class PieceEquations:
+class PieceEquations(NamedTuple):
     """A piece with M = [J r], (points, k + 1), its windows' initial states projected out."""
 
     whole: Array  # M^T M
@@ -450,12 +414,8 @@ class ChangeTest:
         may = self.size > 0.0
         named = self._strengths() + np.log((1.0 - UNNAMED) / 2.0 / max(may.sum(), 1))
         named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
-        kinds = ([(p.slow, p.slow_points) for p in self.pieces], [(p.whole, p.points) for p in self.pieces])
-        scatter = [
-            self._scatter(np.stack([part for part, _ in kind]), np.array([number for _, number in kind]), v)
-            for kind in kinds
-            for v in SCATTERS
-        ]
+        whole, slow, points, slow_points = (np.array(column) for column in zip(*self.pieces, strict=True))
+        scatter = [self._scatter(*kind, v) for kind in ((slow, slow_points), (whole, points)) for v in SCATTERS]
         unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
         both = np.concatenate([named.reshape(len(tau), -1), unnamed[:, None]], axis=1)
         return log_sum(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))

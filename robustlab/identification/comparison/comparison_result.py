@@ -33,76 +33,38 @@ ROUNDING = 1e-9  # a residual below this share of the range is rounding and is n
 
 @dataclass(frozen=True)
 class Comparison(Tabular, Evidence):
-    """Result of `compare`.
+    """Result of `compare`; mappings are by the name of the output where nothing else is said."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: both simulations are finite and every number follows from the series kept here.
-    model, record
-        Names of the compared model and record.
-    outputs
-        Output name -> `OutputGap`.
-    windows
-        Output name -> `WindowErrors`.
-    speed, position
-        Output name -> bins of the windowed error over the measured speed and position; empty where neither is recorded.
-    motions
-        Output name -> the speed and position signals used for that: one for all, or one per joint.
-    frequency
-        Output name -> `Spectrum`; empty where the free run does not reach the end of the record.
-    residual
-        Output name -> `ResidualTests`.
-    initial_state
-        Initial state of the free run.
-    window
-        Length of the windows in s.
-    measured, simulated, windowed
-        The compared signals: measured, free run (None if it ends at once), windowed simulation.
-    disturbance
-        Input name, or a joint as ``torque at omega`` -> the single `InputDisturbance` there with which the model
-        reproduces the record best. Joints only for a nonlinear plant; empty for a discrete model and a nonuniform time
-        base.
-    warnings
-        Limits of the numbers.
-    direction
-        Output name -> windowed error moving backward, at standstill, moving forward; empty without a known speed.
-    noise, noise_reason
-        Noise floor where the record repeats, else None and the reason why there is none.
-    against_noise
-        Output name -> `Excess` of the windowed error, with windows at the same phases of every period. Its ``noise`` is
-        larger than the sensor's in closed loop, where noise also enters at the input. Empty without a noise floor.
-    free_run
-        Extent of the free run.
-    linearisation
-        Linearisation error of the windows of a nonlinear plant; None for a linear one.
-    sensor_noise
-        For a nonlinear plant: output name -> standard deviation of its samples about the smoothed motion, in its unit.
-        Empty for a linear one.
-    """
-
-    status: Status
+    status: Status  # CONVERGED: both simulations are finite and every number follows from the series kept here
     model: str
     record: str
     outputs: Mapping[str, OutputGap]
     windows: Mapping[str, WindowErrors]
+    # bins of the windowed error over the measured speed and position; empty where neither is recorded
     speed: Mapping[str, tuple[Bin, ...]]
     position: Mapping[str, tuple[Bin, ...]]
-    motions: Mapping[str, Motion]
-    frequency: Mapping[str, Spectrum]
+    motions: Mapping[str, Motion]  # signals used for that: one for all, or one per joint
+    frequency: Mapping[str, Spectrum]  # empty where the free run does not reach the end of the record
     residual: Mapping[str, ResidualTests]
-    initial_state: InitialState
-    window: float
+    initial_state: InitialState  # of the free run
+    window: float  # length of the windows, s
+    # the compared signals: measured, free run (None if it ends at once), windowed simulation
     measured: Record
     simulated: Record | None
     windowed: Record
+    # input, or a joint as ``torque at omega`` -> the single disturbance there with which the model reproduces the
+    # record best; joints only for a nonlinear plant; empty for a discrete model and a nonuniform time base
     disturbance: Mapping[str, InputDisturbance]
-    warnings: tuple[str, ...]
-    direction: Mapping[str, Mapping[str, Bin]]
-    noise: NoiseFloor | None
+    warnings: tuple[str, ...]  # limits of the numbers
+    direction: Mapping[str, Mapping[str, Bin]]  # windowed error moving backward, at standstill, moving forward
+    noise: NoiseFloor | None  # None where the record does not repeat, with the reason
     noise_reason: str
+    # Of the windowed error, with windows at the same phases of every period. Its ``noise`` is larger than the sensor's
+    # in closed loop, where noise also enters at the input. Empty without a noise floor.
     against_noise: Mapping[str, Excess]
     free_run: FreeRun
+    # for a nonlinear plant: linearisation error of the windows, and standard deviation of the samples about the
+    # smoothed motion
     linearisation: Linearisation | None = None
     sensor_noise: Mapping[str, float] = field(default_factory=dict)
 
@@ -177,13 +139,13 @@ class Comparison(Tabular, Evidence):
         g, motion = self.outputs[name], self.motions[name]
         free = _errors(g, "") if self.free_run.whole else ""
         places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
-        for bins, over, unit in (
-            (self.speed.get(name), "of speed", motion.speed_unit),
-            (self.position.get(name), "of position", motion.position_unit),
+        for found, unit, over in (
+            (self.speed, motion.speed_unit, "speed"),
+            (self.position, motion.position_unit, "position"),
         ):
-            if bins:
-                worst = max(bins, key=lambda b: b.rms)
-                places.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} {over}")
+            if name in found:
+                worst = max(found[name], key=lambda b: b.rms)
+                places.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} of {over}")
         return [
             (f"{name}: free run", free),
             (f"{name}: where", f"windowed error largest at {'; at '.join(places)}"),
@@ -193,15 +155,13 @@ class Comparison(Tabular, Evidence):
 
     def _noise_in_words(self, name: str) -> str:
         """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
-        g, e, scatter = self.outputs[name], self.against_noise.get(name), self.sensor_noise.get(name)
-        std = self.noise.std[name] if self.noise else scatter
-        if not std:
-            return "none: the repeats are equal to the last bit" if e else ""
-        size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that"
+        g, e = self.outputs[name], self.against_noise.get(name)
+        std = self.noise.std[name] if self.noise else self.sensor_noise.get(name)
+        if e is not None and (not std or e.F is None or e.p_value is None):
+            return "none: the repeats are equal to the last bit"
+        size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that" if std else ""
         if e is None:
             return size
-        if e.F is None or e.p_value is None:
-            return "none: the repeats are equal to the last bit"
         verdict = "the model leaves something to explain" if e.p_value < 0.01 else "nothing is left to explain"
         return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value)})"
 

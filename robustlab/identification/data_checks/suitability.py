@@ -22,6 +22,7 @@ from robustlab.identification.data_checks.channel_identity import (
     contradictions,
     response_factors,
     turned_channels,
+    turned_sign,
 )
 from robustlab.identification.data_checks.resampling import UniformRecord, uniform
 from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
@@ -86,16 +87,14 @@ class RecordCheck(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return the time base, the remarks, and the range of each channel by name."""
-        return {"record": self._clock(), "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
-
-    def _clock(self) -> dict[str, object]:
-        return {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
+        clock = {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
+        return {"record": clock, "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
 
     def to_json(self) -> dict[str, object]:
         """Return all but the samples."""
-        channels: dict[str, object] = {"channels": self.channels, "remarks": self.remarks}
         fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
-        return {"name": self.record.name, **self._clock(), **channels, **fit, "status": self.status}
+        channels = {"channels": self.channels, "remarks": self.remarks}
+        return {"name": self.record.name, **self.numbers()["record"], **channels, **fit, "status": self.status}
 
 
 def check_record(record: Record, plant: Any = None) -> RecordCheck:
@@ -112,8 +111,7 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
     remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # resampling while reading
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
-            rms = float(np.sqrt(np.mean(x**2)))
-            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": rms}
+            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": float(np.sqrt(np.mean(x**2)))}
             channels.append({"name": name, "side": side, "unit": record.units[name], **sizes})
             if not record.units[name]:
                 remarks.append(f"{name}: no unit stated")
@@ -233,31 +231,28 @@ def suitability(plant: Any, record: Record) -> Suitability:
     >>> suitability(axis, run).fit, suitability(axis, wrong).fatal[0].kind
     (True, 'sign')
     """
-    if isinstance(plant, NonlinearPlant):
-        shared, _ = matched(plant.inputs, plant.outputs, record)
-        record = with_units(record, (*plant.inputs, *shared))
-        level = uniform(record)
-        inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
-        findings = [*_clock(level), *_samples(record, outputs)]
-        # A dead sensor would indicate a joint at standstill.
-        findings += [replace(f, fatal=True) for f in _dead(record, outputs)]
-        findings += _unexcited(record, inputs, outputs, {})
+    nonlinear = isinstance(plant, NonlinearPlant)
+    response = None if nonlinear else response_of(plant, record)
+    outputs = response.outputs if response else matched(plant.inputs, plant.outputs, record)[0]
+    model = response.model if response else plant
+    names, inputs = tuple(s.name for s in outputs), tuple(s.name for s in model.inputs)
+    record = with_units(record, (*model.inputs, *outputs))
+    level = uniform(record)
+    # A dead sensor of a nonlinear plant would indicate a joint at standstill.
+    dead = [replace(f, fatal=f.fatal or nonlinear) for f in _dead(record, names)]
+    findings = [*_clock(level), *_samples(record, names), *dead]
+    if response is None:
+        findings += _unexcited(record, inputs, names, {})
         if not isinstance(plant, SteppedPlant) and not any(f.fatal for f in findings):
             findings += _along_motion(plant, level)
     else:
-        response = response_of(plant, record)
-        record = response.with_units(record)
-        level = uniform(record)
-        outputs, inputs = response.output_names, response.model.input_names
-        findings = [*_clock(level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _too_short(response, record)
-        good = np.logical_and.reduce([level.valid[name] for name in outputs])
-        factors = response_factors(response.model, outputs, level.record, good)
-        shown = {name: found.share for name, found in zip(outputs, factors, strict=True)}
-        unexcited = _unexcited(record, inputs, outputs, shown)
+        good = np.logical_and.reduce([level.valid[name] for name in names])
+        factors = response_factors(response.model, names, level.record, good)
+        unexcited = _unexcited(record, inputs, names, {n: f.share for n, f in zip(names, factors, strict=True)})
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
-            findings += contradictions(response.model, outputs, level.record, good, factors)
+            findings += contradictions(response.model, names, level.record, good, factors)
     order = sorted(findings, key=lambda finding: not finding.fatal)
     return Suitability(record.name, tuple(order))
 
@@ -297,33 +292,29 @@ def quantisation_step(y: Array) -> float | None:
 
 
 def _clock(level: UniformRecord) -> list[Finding]:
-    found: list[Finding] = []
-    if level.gaps:
-        lost = sum(gap.missing for gap in level.gaps)
-        longest = max(level.gaps, key=lambda gap: gap.missing)
-        text = (
-            f"{lost} samples missing in {len(level.gaps)} gaps, the longest from {longest.start:.6g} s to "
-            f"{longest.stop:.6g} s"
-        )
-        evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
-        found.append(Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence))
-    return found
+    if not level.gaps:
+        return []
+    lost, longest = sum(gap.missing for gap in level.gaps), max(level.gaps, key=lambda gap: gap.missing)
+    where = f"the longest from {longest.start:.6g} s to {longest.stop:.6g} s"
+    evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
+    text = f"{lost} samples missing in {len(level.gaps)} gaps, {where}"
+    return [Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence)]
 
 
 def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     found: list[Finding] = []
     for name in outputs:
-        y, unit = record[name], record.unit(name)
+        y = record[name]
         if runs := _clipped(record, name):
             count = sum(last - first for first, last in runs)
-            text = f"clipped: {_at_the_end(record, runs)}"
             evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
-            found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
-        step = quantisation_step(y)
-        if step:
+            text, expected = f"clipped: {_at_the_end(record, runs)}", "a sensor within its range"
+            found.append(Finding("clipped", name, text, expected, hint, False, evidence))
+        if step := quantisation_step(y):
+            text = f"steps of {step:.6g} {record.unit(name)}".rstrip()
             evidence = {"step": step, "noise": step / np.sqrt(12.0)}
-            found.append(Finding("quantisation", name, f"steps of {step:.6g} {unit}".rstrip(), "", "", False, evidence))
+            found.append(Finding("quantisation", name, text, "", "", False, evidence))
     return found
 
 
@@ -332,10 +323,9 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     hint = "check its cable and scaling, or leave it out, with outputs=... for the others"
     found: list[Finding] = []
     for name in dead:
-        value = float(record[name][0])
+        value, fatal = float(record[name][0]), len(dead) == len(outputs)
         text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
-        everything = len(dead) == len(outputs)
-        found.append(Finding("constant-output", name, text, "an output that moves", hint, everything, {"value": value}))
+        found.append(Finding("constant-output", name, text, "an output that moves", hint, fatal, {"value": value}))
     return found
 
 
@@ -367,9 +357,8 @@ def _unexcited(
     still = [name for name in alive if not _moves(record[name], shown.get(name, 0.0))]
     constant = [name for name in inputs if not np.ptp(record[name])]
     nothing = bool(alive) and len(still) == len(alive)
-    found: list[Finding] = []
     if inputs and len(constant) == len(inputs):
-        what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
+        values = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
         if nothing:
             reason = "no output leaves its noise either"
         elif any(record[name].any() for name in constant):
@@ -378,12 +367,13 @@ def _unexcited(
             reason = "free motion alone, which tells no gain of an input"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
-        text, expected = f"constant: {what}; {reason}", "an input that moves"
+        text, expected = f"constant: {values}; {reason}", "an input that moves"
         return [Finding("unexcited", ", ".join(inputs), text, expected, hint, nothing, evidence)]
+    found: list[Finding] = []
+    hint = f"excite more strongly: {', '.join(inputs)} is too small to move it"
     for name in still:
         noise = _noise(record[name])
         text = f"does not leave its noise ({noise:.3g} {record.unit(name)}".rstrip() + " rms from sample to sample)"
-        hint = f"excite more strongly: {', '.join(inputs)} is too small to move it"
         evidence = {"spread": float(record[name].std()), "noise": noise}
         found.append(Finding("unexcited", name, text, "an output that moves", hint, nothing, evidence))
     return found
@@ -413,19 +403,16 @@ def _moves(y: Array, share: float) -> bool:
 
 def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
     """Check that a nonlinear plant can have the measured motion, and find channels with a wrong sign."""
-    record = level.record
-    positions = ", ".join(s.name for s in plant.outputs if s.name in record.outputs)
+    positions = ", ".join(s.name for s in plant.outputs if s.name in level.record.outputs)
     try:
-        turned = turned_channels(plant, record)
+        turned = turned_channels(plant, level.record)
     except InputError as wrong:
         return [Finding("motion", positions, wrong.found, wrong.expected or "", wrong.hint or "", True, {})]
     except NoTrustworthyNumber as none:
         hint = "check signs, units and zeros of the outputs"
         text = f"show a motion that {plant.name} cannot have: {none.found}"
         return [Finding("motion", positions, text, "positions within its reach", hint, True, {})]
-    found = []
-    for name, share in turned.items():
-        text = f"seems to be measured with the other sign (inverted, {100 * share:.2g} % of the squared error remains)"
-        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
-        found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
-    return found
+    return [
+        turned_sign((name,), f"inverted, {100 * share:.2g} % of the squared error remains", {"error_left": share})
+        for name, share in turned.items()
+    ]

@@ -15,7 +15,7 @@ from robustlab.errors import InputError, error_context
 from robustlab.identification.validation.model_validation import validate
 from robustlab.identification.validation.validation_result import Validation
 from robustlab.record import Record
-from robustlab.result import Evidence, Status
+from robustlab.result import Evidence, Status, least_trusted
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import FullBlock
 from robustlab.uncertainty.lft import UncertainModel, product
@@ -29,38 +29,20 @@ LOAD_ACCURACY = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class DataCover(Evidence):
-    """A set of models that explains its records.
+    """A set of models that explains its records."""
 
-    Attributes
-    ----------
-    status
-        The worst of all validations, also of the held-out records.
-    model
-        The set; its inputs are the loads, each at most one, then the plant's. None if no radius explains a record.
-    radius
-        Of the unmodelled dynamics in ``model``.
-    needed, needed_lower
-        The smallest radius that explains all records, from above and from below.
-    held_out
-        The smallest radius for the held-out records, from above; NaN without such.
-    held_out_loads
-        Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the loads of the
-        set are too small for them: the bound of a force without its own is that along ``records``, times ``margin``.
-    loads
-        Name, bound, unit and origin of each load.
-    validations
-        Name of record -> its `Validation`; gamma is the radius.
-    """
-
-    status: Status
+    status: Status  # the least trusted of all validations, also of the held-out records
+    # The set; its inputs are the loads, each at most one, then the plant's. None if no radius explains a record.
     model: UncertainModel | None
-    radius: float
-    needed: float
+    radius: float  # of the unmodelled dynamics in `model`
+    needed: float  # smallest radius that explains all records, from above and from below
     needed_lower: float
-    held_out: float
+    held_out: float  # smallest radius for the held-out records, from above; NaN without such
+    # Largest load along those records, over its bound; NaN without such, 0 without loads. Above one the loads of the
+    # set are too small for them: the bound of a force without its own is that along the records, times the margin.
     held_out_loads: float
-    loads: tuple[NoiseInput, ...]
-    validations: Mapping[str, Validation]
+    loads: tuple[NoiseInput, ...]  # name, bound, unit and origin of each
+    validations: Mapping[str, Validation]  # by the name of the record; gamma is the radius
 
     quantities: ClassVar[Mapping[str, Any]] = {
         **dict.fromkeys(("radius", "needed", "needed_lower", "held_out", "held_out_loads"), "1"),
@@ -183,9 +165,8 @@ def data_cover(
     mine = [found[r.name] for r in records]
     needed = max(v.upper for v in mine)
     radius = max(margin * needed, least)
-    statuses = [v.status for v in found.values()]
     return DataCover(
-        status=max(statuses, key=list(Status).index),
+        status=least_trusted([v.status for v in found.values()]),
         model=_unmodelled(made.model, made, radius) if np.isfinite(needed) else None,
         radius=radius,
         needed=needed,

@@ -36,7 +36,6 @@ from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
     concluded,
-    in_own_units,
     require_replay,
 )
 from robustlab.linear_analysis.frequency import frequency_response
@@ -374,37 +373,23 @@ def validate_by_lines(
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     explained, error, sizes = np.full(spectrum.y.shape, np.nan), 0.0, np.full((problem.n, len(problem.blocks)), np.nan)
     if np.isfinite(found.upper):
-        error = _replay_error(problem, found.w)
-        require_replay(error, data.name)
+        error = require_replay(_replay_error(problem, found.w), data.name)
         explained, sizes = _explained(spectrum, found.w), problem.sizes(found.w)
-    w, z = in_own_units(found.w, problem.z(found.w), problem.blocks, problem.scale)
-    return Validation(
-        status=concluded(found.lower, found.upper, search),
-        notes=(search.budget.remark,) if search.budget.remark else (),
+    largest = zip(problem.names, sizes.max(axis=0).tolist(), strict=True)
+    return concluded(
+        found,
+        search,
+        spectrum.outputs,
         record=data.name,
-        lower=found.lower,
-        upper=found.upper,
-        label=found.label,
-        blocks={
-            block: BlockSize(block, "time-invariant", float(size))
-            for block, size in zip(problem.names, sizes.max(axis=0), strict=True)
-        },
+        blocks={name: BlockSize(name, "time-invariant", size) for name, size in largest},
         noise_bound=spectrum.bound,
         noise_norm="rms" if problem.total else "peak",
-        excess=found.excess,
         replay_error=error,
-        assumptions=(
-            *spectrum.assumptions,
-            "complex and full blocks are causal stable time-invariant systems",
-        ),
+        assumptions=(*spectrum.assumptions, "complex and full blocks are causal stable time-invariant systems"),
         t=spectrum.t,
         measured=spectrum.y,
         nominal=spectrum.nominal,
         explained=explained,
-        outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
-        w=w,
-        z=z,
-        multipliers=found.multipliers.arrays() if found.multipliers else {},
         domain="frequency",
         omega=problem.omega,
         line_sizes=np.nan_to_num(sizes),
@@ -450,22 +435,22 @@ def _smallest(problem: SpectralProblem, search: Search) -> Found:
     known = not np.abs(problem.M11).max(initial=0.0)
     exact = "exact" if known else "lower bound exact where the Lagrangian is concave"
     label = f"time-invariant systems at {problem.n} lines ({exact})"
-    none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+
+    def bounds(lower: float, upper: float, excess: float, multipliers: Multipliers, w: ComplexArray) -> Found:
+        return Found(lower, upper, NO_NOISE, excess, multipliers, label, problem=problem, w=w, z=problem.z(w))
+
+    none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     nominal = problem.excess(problem.noise(none))
     if nominal <= 1:
-        return Found(0.0, 0.0, NO_NOISE, nominal, empty, label, w=none)
+        return bounds(0.0, 0.0, nominal, empty, none)
     free = programme.least_noise()
     least = problem.excess(problem.noise(free.w))
     if least > 1 + SLACK:
         multipliers = Multipliers(empty.D, programme.multipliers(free).noise)
         if not line_lagrangian(problem, multipliers, 1.0) < 0:
             raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
-        return Found(np.inf, np.inf, NO_NOISE, least, multipliers, label, w=none)
-
-    def disproved(by: Multipliers, start: float) -> float:
-        return largest_disproved(lambda gamma: line_lagrangian(problem, by, gamma) < 0, start, FINEST)
-
+        return bounds(np.inf, np.inf, least, multipliers, none)
     best, at, lower, multipliers = np.inf, none, 0.0, empty
     for start in (problem.z0, problem.z(free.w)):
         gamma, w, solved = _descend(programme, start, known)
@@ -473,14 +458,14 @@ def _smallest(problem: SpectralProblem, search: Search) -> Found:
             trial = programme.multipliers(solved)
             # With one programme per line the multipliers of a line belong to its own gamma: the worst decides.
             top = gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
-            found = disproved(trial, top)
+            found = largest_disproved(lambda g, by=trial: line_lagrangian(problem, by, g) < 0, top, FINEST)
             lower, multipliers = (found, trial) if found > lower else (lower, multipliers)
         if gamma < best:
             best, at = gamma, w
         if known or lower >= best * (1 - search.precision):
             break
     excess = problem.excess(problem.noise(at)) if np.isfinite(best) else min(least, 1.0)
-    return Found(lower, best, NO_NOISE, excess, multipliers, label, w=at)
+    return bounds(lower, best, excess, multipliers, at)
 
 
 def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:

@@ -327,7 +327,7 @@ class Found:
     label: str = ""
     certified: bool = True
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
-    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and the jumps of the states:
+    problem: Any = None  # of the dynamic blocks, with their signals and the jumps of the states:
     w: Any = field(default_factory=lambda: np.zeros((0, 0)))
     z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)

@@ -34,7 +34,6 @@ from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
     concluded,
-    in_own_units,
     require_replay,
 )
 from robustlab.record import Record
@@ -66,36 +65,26 @@ def validate_by_samples(
         found_both = f"a lower bound of gamma, {found.lower:.6g}, above the upper one, {found.upper:.6g}"
         raise NoTrustworthyNumber(f"validate {record.name}", found_both)
     measured = np.column_stack([record.outputs[s.name] for s in recorded.outputs])
-    explained, error = np.full(measured.shape, np.nan), 0.0
+    explained, error, sizes = np.full(measured.shape, np.nan), 0.0, dict[str, float]()
     if np.isfinite(found.upper):
         explained = measured - found.noise * recorded.bound
-        error = _replay_error(recorded, found)
-        require_replay(error, record.name)
-    w, z, sizes = found.w, found.z, {}
-    if found.problem is not None and w.size:
-        sizes = dict(zip(found.problem.names, found.problem.sizes(w, z).tolist(), strict=True))
-        w, z = in_own_units(w, z, found.problem.blocks, found.problem.scale)
-    return Validation(
-        status=concluded(found.lower, found.upper, search, certified=found.certified),
+        error = require_replay(_replay_error(recorded, found), record.name)
+    if found.problem is not None and found.w.size:
+        sizes = dict(zip(found.problem.names, found.problem.sizes(found.w, found.z).tolist(), strict=True))
+    return concluded(
+        found,
+        search,
+        recorded.outputs,
         record=record.name,
-        lower=float(min(found.lower, found.upper)),
-        upper=float(found.upper),
-        label=found.label,
         blocks={b.name: _block(b, found, sizes) for b in recorded.uncertain.blocks},
         noise_bound={s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)},
         noise_norm="peak",
-        excess=found.excess,
         replay_error=error,
         assumptions=_assumptions(recorded),
         t=record.t,
         measured=measured,
         nominal=measured - _without_starts(recorded, recorded.uncertain.nominal) * recorded.bound,
         explained=explained,
-        outputs=tuple((s.name, s.unit) for s in recorded.outputs),
-        w=w,
-        z=z,
-        multipliers=found.multipliers.arrays() if found.multipliers else {},
-        notes=(search.budget.remark,) if search.budget.remark else (),
     )
 
 
@@ -167,15 +156,12 @@ def _without_starts(recorded: Recorded, M: StateSpaceModel, error: Array | None 
     """Remove the response of free initial states from the error of a model without Delta, or ``error``, (n, n_y)."""
     problem = sampled(recorded, M, ())
     error = problem.e if error is None else error
-    found, at = error.copy(), 0
-    free = problem.free_response()
-    for a, b in pairwise([*problem.starts, problem.n]):
-        if a in problem.free_starts:
-            k = problem.free.shape[1]
-            own = free[a * error.shape[1] : b * error.shape[1], at : at + k].toarray()
-            at += k
-            left = found[a:b].ravel()
-            found[a:b] -= (own @ np.linalg.lstsq(own, left)[0]).reshape(found[a:b].shape)
+    found, free, n_y, k = error.copy(), problem.free_response(), error.shape[1], problem.free.shape[1]
+    ends = dict(pairwise([*problem.starts, problem.n]))
+    for i, a in enumerate(problem.free_starts):
+        window = found[a : ends[a]]
+        own = free[a * n_y : ends[a] * n_y, i * k : (i + 1) * k].toarray()
+        window -= (own @ np.linalg.lstsq(own, window.ravel())[0]).reshape(window.shape)
     return found
 
 
