@@ -7,8 +7,7 @@ it measures the linearisation error. Errors are sorted along the motion of the j
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,7 +34,14 @@ from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.greybox.prepared_record import window_length
-from robustlab.identification.response.response import Stretch, matched, response_of, stretch_of, with_units
+from robustlab.identification.response.response import (
+    Stretch,
+    matched,
+    response_of,
+    slowest_time_constant,
+    stretch_of,
+    with_units,
+)
 from robustlab.identification.response.windowed_simulation import (
     InitialState,
     LinearResponse,
@@ -66,8 +72,7 @@ RTOL = 1e-9
 GROWN = 20.0  # times: a larger growth of an initial error gives a warning
 
 
-@dataclass(frozen=True, eq=False)
-class Matching:
+class Matching(NamedTuple):
     """A plant or model matched with a record, at the signals that both have."""
 
     model: LinearResponse | MotionResponse
@@ -128,37 +133,32 @@ def compare(
     """
     matching = _matching(plant, record)
     model, record, inputs = matching.model, matching.record, matching.inputs
-    outputs = [s.name for s in matching.outputs]
-    whole, along = model.whole, model if isinstance(model, MotionResponse) else None
+    outputs, whole = [s.name for s in matching.outputs], model.whole
     length = _window_length(plant, matching, window)
     initial = starting_state(model, length)
     windows = windowed_simulation(model, window_edges(record.n, length))
+    error, checked, disturbance = whole.y - windows.y, None, dict[str, InputDisturbance]()
     if isinstance(model, MotionResponse):
         run, free = free_run(model, initial.x0, outputs)
+        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
+        checked = linearisation(model, windows, outputs)
+        if matching.smoothed:
+            disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     else:
         run, free = FreeRun(float(record.t[-1]), ""), model.response.simulate(whole.t, whole.u, initial.x0)
         if np.abs(free).max() > LARGEST_OUTPUT:
             hint = "compare a shorter stretch (Record.between)"
             raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    if isinstance(model, MotionResponse):
-        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
-    else:
-        of_joints = [motion_of(record, length)]
-        motions = dict.fromkeys(outputs, of_joints[0])
-    lags = min(LAGS, record.n // 4)
-    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, lags)
+        motion = motion_of(record, length)
+        motions = dict.fromkeys(outputs, motion)
+        disturbance = input_disturbances(plant, model, error, windows.edges, motion)
+    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, min(LAGS, record.n // 4))
     noise, noise_reason = None, ""
     try:
         noise = noise_floor(record, outputs=outputs)
     except NoTrustworthyNumber as none:
         noise_reason = f"{none.found}; {none.hint}" if none.hint else none.found
-    error = whole.y - windows.y
-    disturbance: dict[str, InputDisturbance] = {}
-    if isinstance(model, LinearResponse):
-        disturbance = input_disturbances(plant, model, error, windows.edges, of_joints[0])
-    elif matching.smoothed:
-        disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
-    checked = linearisation(along, windows, outputs) if along else None
+    warnings = channel_warnings(record, tuple(inputs), tuple(outputs))
     return Comparison(
         status=Status.CONVERGED,
         model=str(getattr(plant, "name", None) or repr(plant)),
@@ -170,17 +170,13 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         disturbance=disturbance,
-        warnings=(
-            *matching.warnings,
-            *channel_warnings(record, tuple(inputs), tuple(outputs)),
-            *_warnings(matching, initial, motions, checked, run),
-        ),
+        warnings=(*matching.warnings, *warnings, *_warnings(matching, initial, motions, checked, run)),
         noise=noise,
         noise_reason=noise_reason,
         against_noise=_against_noise(noise, model, length, outputs) if noise else {},
         free_run=run,
         linearisation=checked,
-        sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
+        sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if checked else {},
         **found,
     )
 
@@ -214,7 +210,7 @@ def _window_length(plant: Any, matching: Matching, window: float | None) -> int:
         return round(window / record.dt)
     if isinstance(model, MotionResponse):
         return window_length(plant, [record])
-    seconds = model.response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
+    seconds = slowest_time_constant(model.response.model) or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
     shortest = max(SHORTEST_WINDOW, 10 * len(model.state_names))
     return min(record.n, max(shortest, min(round(seconds / record.dt), record.n // WINDOWS_AT_LEAST)))
 
@@ -223,20 +219,16 @@ def _warnings(
     matching: Matching, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
 ) -> list[str]:
     record, model, texts = matching.record, matching.model, []
-    along = isinstance(model, MotionResponse)
-    if initial.rank < len(model.state_names):
+    along, n_x = isinstance(model, MotionResponse), len(model.state_names)
+    if initial.rank < n_x:
         rest = "the others are those of the smoothed motion" if along else "the others are the smallest that fit"
-        texts.append(
-            f"the recorded outputs determine {initial.rank} of {len(model.state_names)} states at the start; {rest}"
-        )
+        texts.append(f"the recorded outputs determine {initial.rank} of {n_x} states at the start; {rest}")
     if along:
         return [*texts, *(checked.warnings() if checked else []), *unstable(model, run)]
-    slowest = model.response.slowest_time_constant()
+    slowest = slowest_time_constant(model.response.model)
     if record.duration < slowest:
-        texts.append(
-            f"the record lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s: "
-            "slow behaviour is not tested"
-        )
+        size = f"lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s"
+        texts.append(f"the record {size}: slow behaviour is not tested")
     if not record.is_uniform:
         texts.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
     if next(iter(motions.values())).speed is None:
@@ -302,9 +294,8 @@ def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motio
 
 def motions_of_joints(model: MotionResponse, record: Record) -> list[Motion]:
     """Return the motion of each joint, or `NO_MOTION` for each input of a plant without joints."""
-    plant = model.plant
-    found = [_motion(plant, joint, model.course.x, record) for joint in _joints(plant)]
-    return found or [NO_MOTION] * len(plant.inputs)
+    found = [_motion(model.plant, joint, model.course.x, record) for joint in _joints(model.plant)]
+    return found or [NO_MOTION] * len(model.plant.inputs)
 
 
 def _about(model: MotionResponse) -> LocalModels:
@@ -370,8 +361,9 @@ def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Arr
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:
     """Simulate some windows and the worst one with the nonlinear plant from the fitted initial states."""
     whole, plant, edges, u = model.whole, model.plant, windows.edges, model.course.u
-    error = ((whole.y - windows.y) * whole.weight) ** 2
-    worst = int((np.add.reduceat(error.sum(axis=1), edges[:-1]) / np.diff(edges)).argmax())
+    error = whole.y - windows.y
+    squares = ((error * whole.weight) ** 2).sum(axis=1)
+    worst = int((np.add.reduceat(squares, edges[:-1]) / np.diff(edges)).argmax())
     different, missed, checked, broken = [], [], [], []
     for k in np.unique([worst, *np.linspace(0, len(edges) - 2, CHECKED).astype(int)]):
         a, b = int(edges[k]), int(edges[k + 1])
@@ -381,7 +373,7 @@ def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Seq
             continue
         made = plant.outputs_along(np.vstack([windows.x0[k], more]), u[a:b])[:, list(model.columns)]
         different.append(made - windows.y[a:b])
-        missed.append(whole.y[a:b] - windows.y[a:b])
+        missed.append(error[a:b])
         checked.append(whole.t[a])
     if not checked:
         return Linearisation(np.zeros(0), {}, {}, np.array(broken))

@@ -15,7 +15,7 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.display import Each, Facts, number
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, LinearResponse, starting_state
 from robustlab.record import Record
@@ -28,26 +28,20 @@ from robustlab.worst_case_analysis.sampling import LABEL, sample
 class SignalCoverage(Evidence):
     """Position of one signal of a record relative to the envelope; percent is of `size`."""
 
-    # name, unit: the output, or ``"phi-rate"`` for the mean rate of the output phi
-    name: str
+    name: str  # the output, or ``"phi-rate"`` for the mean rate of the output phi
     unit: str
     size: float  # largest measured distance from the first measured value, in `unit`
     share: float  # of the samples inside the envelope, 0..1
-    # miss, miss_percent: largest distance of a sample from the envelope; 0 if all are inside
-    miss: float
+    miss: float  # largest distance of a sample from the envelope; 0 if all are inside
     miss_percent: float
-    # miss_time, miss_side: its time [s], and whether the record is ``"above"`` or ``"below"``; NaN and ``""`` for none
-    miss_time: float
-    miss_side: Literal["", "above", "below"]
-    # gap, gap_percent: largest ``|measured - nominal|``
-    gap: float
+    miss_time: float  # its time in s; NaN for none
+    miss_side: Literal["", "above", "below"]  # where the record is then
+    gap: float  # largest ``|measured - nominal|``
     gap_percent: float
-    # reach, reach_percent: largest ``|member - nominal|``
-    reach: float
+    reach: float  # largest ``|member - nominal|``
     reach_percent: float
     allowance: float  # distance outside the envelope at which a sample still counts as inside
-    # t, measured, nominal, lower, upper: the series, each of shape (n,)
-    t: Array
+    t: Array  # the series, each of shape (n,)
     measured: Array
     nominal: Array
     lower: Array
@@ -151,12 +145,10 @@ def cover(
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
+    where, allowed = f"cover {record.name}: allowance", dict.fromkeys(names, 0.0)
     for name, value in (allowance or {}).items():
-        where = f"cover {record.name}: allowance of {name!r}"
-        if name not in names:
-            raise unknown_name(where, "no such compared output", name, names)
-        checks.number(where, value, "a number that is not negative", at_least=0)
-    allowed = {**dict.fromkeys(names, 0.0), **(allowance or {})}
+        checks.choice(where, name, names)
+        allowed[name] = checks.number(f"{where} of {name!r}", value, "a number that is not negative", at_least=0)
     lag = 0 if rate is None or not np.isfinite(rate) else round(rate / record.dt)
     if rate is not None and not 1 <= lag <= record.n // 4:
         span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
@@ -174,7 +166,7 @@ def cover(
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
         measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, measured, centre, members, float(allowed[name]))
+        signals[name] = _coverage(name, unit, record.t, measured, centre, members, allowed[name])
         if lag:
             seconds = lag * record.dt
             middle = 0.5 * (record.t[lag:] + record.t[:-lag])
@@ -203,11 +195,8 @@ def _coverage(
     size = float(np.abs(measured - measured[0]).max())
     worst = int(outside.argmax())
     miss = float(outside[worst])
-    far = {
-        "miss": miss,
-        "gap": float(np.abs(measured - nominal).max()),
-        "reach": float(np.maximum(upper - nominal, nominal - lower).max()),
-    }
+    gap, reach = np.abs(measured - nominal).max(), np.maximum(upper - nominal, nominal - lower).max()
+    far = {"miss": miss, "gap": float(gap), "reach": float(reach)}
     percent = {f"{key}_percent": 100.0 * value / size if size else np.nan for key, value in far.items()}
     return SignalCoverage(
         name=name,

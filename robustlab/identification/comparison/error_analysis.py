@@ -131,15 +131,11 @@ def bin_index(value: Array, edges: Array) -> NDArray[np.int_]:
 
 def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
     """Sort an error (n,) by ``value`` (n,) into bins."""
-    index = bin_index(value, edges)
-    total = float((error**2).sum()) or 1.0
-    result: list[Bin] = []
-    for k in range(len(edges) - 1):
-        inside = error[index == k]
-        squared = float((inside**2).sum())
-        mean, rms = (float(inside.mean()), float(np.sqrt(squared / len(inside)))) if len(inside) else (0.0, 0.0)
-        result.append(Bin(float(edges[k]), float(edges[k + 1]), len(inside), mean, rms, squared / total))
-    return tuple(result)
+    index, n = bin_index(value, edges), len(edges) - 1
+    samples, total, squares = (np.bincount(index, weights, n) for weights in (None, error, error**2))
+    mean, rms = total / np.maximum(samples, 1), np.sqrt(squares / np.maximum(samples, 1))
+    columns = (edges[:-1], edges[1:], samples, mean, rms, squares / (squares.sum() or 1.0))
+    return tuple(Bin(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
 
 
 def directions(speed: Array, error: Array) -> dict[str, Bin]:
@@ -262,15 +258,11 @@ class Linearisation(Evidence):
         texts = []
         worst = max(self.share, key=lambda name: self.share[name], default="")
         if worst and self.share[worst] > LINEAR_SHARE:
-            texts.append(
-                f"the windows are linear about the recorded motion, and that makes {100 * self.share[worst]:.0f} % of "
-                f"the error of {worst}: take shorter windows"
-            )
+            size = f"{100 * self.share[worst]:.0f} % of the error of {worst}"
+            texts.append(f"the windows are linear about the recorded motion: that makes {size}, take shorter windows")
         if len(self.broken):
-            texts.append(
-                "from the fitted start the nonlinear plant does not reach the end of the window at "
-                f"{self.broken[0]:.4g} s"
-            )
+            end = f"the end of the window at {self.broken[0]:.4g} s"
+            texts.append(f"from the fitted start the nonlinear plant does not reach {end}")
         return texts
 
 
@@ -308,15 +300,14 @@ def localised(
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
-        size_left = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        size = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
         against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
-        result["residual"][name] = ResidualTests(size_left, whiteness(residual, lags), against)
+        result["residual"][name] = ResidualTests(size, whiteness(residual, lags), against)
     return result
 
 
 def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-
     # Percentages are undefined if the spread or its square vanishes in floating point.
     percent = 100.0 / spread if spread_rms else np.nan
 
@@ -324,10 +315,8 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
         return peak, rms, peak * percent, rms * percent, 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
 
-    none = (np.nan, np.nan, np.nan, np.nan, np.nan)
-    free = none if error is None else sizes(error)
-    at = np.nan if error is None else float(t[np.abs(error).argmax()])
-    return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
+    free = [np.nan] * 6 if error is None else [*sizes(error), float(t[np.abs(error).argmax()])]
+    return OutputGap(signal.name, signal.unit, spread, *free, *sizes(local))
 
 
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:
@@ -358,14 +347,10 @@ class Correlation(Evidence):
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
     """Compute r_0..r_lags of a residual (n,), not centred, without NaN samples, and the number of pairs at each lag."""
     e = np.asarray(residual, dtype=float)
-    there = np.isfinite(e)
-    filled = np.where(there, e, 0.0)
-    n = len(e)
-    power = float(filled @ filled)
-    r = np.array([filled[k:] @ filled[: n - k] for k in range(lags + 1)]) / (power or 1.0)
+    there, filled, n = np.isfinite(e), np.nan_to_num(e), len(e)
+    r = np.array([filled[k:] @ filled[: n - k] for k in range(lags + 1)]) / (float(filled @ filled) or 1.0)
     r[0] = 1.0
-    pairs = np.array([int((there[k:] & there[: n - k]).sum()) for k in range(lags + 1)])
-    return r, pairs
+    return r, np.array([int((there[k:] & there[: n - k]).sum()) for k in range(lags + 1)])
 
 
 def whiteness(residual: ArrayLike, lags: int) -> Correlation:
@@ -394,24 +379,20 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlati
     """
     from scipy.stats import chi2
 
-    e: Array = np.asarray(residual, dtype=np.float64)
-    v: Array = np.asarray(u, dtype=np.float64)
-    v = v - float(v.mean())
-    filled = np.nan_to_num(e)
+    e, v = (np.asarray(x, dtype=np.float64) for x in (residual, u))
+    v, filled = v - float(v.mean()), np.nan_to_num(e)
     n, total = int(np.isfinite(e).sum()), len(e)
     size = float(np.sqrt((filled @ filled) * (v @ v)))
     ahead = [filled[k:] @ v[: total - k] for k in range(lags + 1)]
     behind = [filled[: total - k] @ v[k:] for k in range(lags, 0, -1)]
-    correlation: Array = np.array([*behind, *ahead], dtype=np.float64)
-    correlation /= size or 1.0
+    correlation = np.array([*behind, *ahead], dtype=np.float64) / (size or 1.0)
     r_e, r_u = autocorrelation(e, lags)[0], autocorrelation(v, lags)[0]
     # Variance of r_k for a coloured residual that is independent of a coloured input (Ljung 1999, eq. 16.64).
     spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))
     share, dof, rows = _explained(v, e, lags)
-    statistic = rows * share
-    p_value = float(chi2.sf(statistic, dof)) if dof else 1.0
+    p_value = float(chi2.sf(rows * share, dof)) if dof else 1.0
     band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
-    return Correlation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share)
+    return Correlation(np.arange(-lags, lags + 1), correlation, band, rows * share, dof, p_value, share)
 
 
 def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
@@ -481,10 +462,10 @@ def input_disturbances(
     ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, a nonuniform time base and too
     few samples.
     """
-    model, whole, names = response.response.model, response.whole, response.response.output_names
+    whole, names = response.whole, response.response.output_names
+    model = response.response.model.select(outputs=names)
     if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
         return {}
-    model = model.select(outputs=names)
     u = np.column_stack([whole.u[name] for name in model.input_names])
     spread, level = np.ptp(whole.y, axis=0), np.abs(whole.y).max(axis=0)
     spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
@@ -511,8 +492,8 @@ def joint_disturbances(
     ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or a single one.
     """
     plant = response.plant
-    joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
-              for p in plant.port_places if p.kind == "joint"]  # fmt: skip
+    units = {s.name: s.unit for s in plant.states}
+    joints = [(_force_at(p.name, units[p.name]), p.unit) for p in plant.port_places if p.kind == "joint"]
     places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
     motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
     left, before = _remaining(response, smoothed.d, error, edges), error * response.whole.weight
@@ -545,9 +526,7 @@ def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str,
         ports: Iterable[Port] = port_model(linear_plant_of(plant)).ports.values()
     except (InputError, np.linalg.LinAlgError):
         return
-    for port in ports:
-        if port.kind != "joint" or port.force.shape != (model.n_states,):
-            continue
+    for port in (port for port in ports if port.kind == "joint" and port.force.shape == (model.n_states,)):
         if all(np.linalg.matrix_rank(np.stack([port.force, model.B[:, k]])) == 2 for k in inputs):
             text = _force_at(port.name, port.speed_unit)
             yield text, text, port.unit, port.force
@@ -573,16 +552,15 @@ def _disturbance(
         spread = max(float(d[chosen].std()), float(np.sqrt((std[chosen] ** 2).mean())))
         return float(d[chosen].mean()), spread / float(np.sqrt(max(1.0, independent * n)))
 
-    speed = motion.speed
-    rest = 0.0 if speed is None else REST * float(np.abs(speed).max())
-    none, every = np.zeros(len(d), dtype=bool), np.ones(len(d), dtype=bool)
-    ways = [every, none, none] if speed is None else [every, speed > rest, speed < -rest]
+    speed = np.zeros(len(d)) if motion.speed is None else motion.speed
+    rest = REST * float(np.abs(speed).max())
+    ways = [np.ones(len(d), dtype=bool), speed > rest, speed < -rest]
     before, after = (error**2).sum(axis=0), (left**2).sum(axis=0)
     shares = np.divide(before - after, before, out=np.zeros_like(before), where=before > 0)
     total = float(before.sum())
     (m, m_std), (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
     return InputDisturbance(
-        place, unit, d, std, speed, motion.speed_source, float(np.sqrt((d**2).mean())),
+        place, unit, d, std, motion.speed, motion.speed_source, float(np.sqrt((d**2).mean())),
         m, m_std, forward, forward_std, backward, backward_std, dict(zip(names, shares.tolist(), strict=True)),
         max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
     )  # fmt: skip

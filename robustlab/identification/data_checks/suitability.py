@@ -25,7 +25,14 @@ from robustlab.identification.data_checks.channel_identity import (
     turned_sign,
 )
 from robustlab.identification.data_checks.resampling import UniformRecord, uniform
-from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
+from robustlab.identification.response.response import (
+    Response,
+    longest_period,
+    matched,
+    response_of,
+    slowest_time_constant,
+    with_units,
+)
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 
@@ -337,7 +344,7 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
 
     A mode that decays more slowly than the record lasts behaves as an integrator within it: reported, not fatal.
     """
-    slowest, period = response.slowest_time_constant(), longest_period(response.model)
+    slowest, period = slowest_time_constant(response.model), longest_period(response.model)
     text = f"lasts {record.duration:.6g} s"
     evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
     if record.duration < period:

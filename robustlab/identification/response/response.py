@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.clocks import UNIFORM_TOLERANCE
+from robustlab.clocks import is_uniform
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, UnitMismatch, did_you_mean
 from robustlab.record import Record
@@ -35,8 +35,7 @@ class Stretch:
     @property
     def is_uniform(self) -> bool:
         """Whether all time steps are equal."""
-        step = np.diff(self.t)
-        return bool(np.abs(step - step.mean()).max() <= UNIFORM_TOLERANCE * step.mean())
+        return is_uniform(self.t)
 
     def cut(self, first: int, last: int) -> Stretch:
         """Return samples ``first .. last - 1``."""
@@ -93,9 +92,6 @@ class Response:
         record = simulate(self.model, clock, dict(u), x0)
         return np.column_stack([record.outputs[name] for name in self.output_names])
 
-    def slowest_time_constant(self) -> float:
-        return slowest_time_constant(self.model)
-
 
 def rates(model: StateSpaceModel) -> NDArray[np.complex128]:
     """Return the poles in 1/s, also of a discrete model."""
@@ -129,23 +125,15 @@ def slowest_time_constant(model: StateSpaceModel) -> float:
 
 def response_of(plant_or_model: Any, record: Record) -> Response:
     """Match a linear plant or model with a record by signal names, and check units and sample time."""
-    if isinstance(plant_or_model, NonlinearPlant):
-        # Its linear model would be compared silently, without its effects.
-        raise InputError(
-            f"compare {record.name}",
-            f"the nonlinear plant {plant_or_model.name}",
-            "a linear plant or model",
-            "discover compares a plant with effects; rl.simulate simulates it",
-        )
+    where = f"compare {record.name}"
+    if isinstance(plant_or_model, NonlinearPlant):  # its linear model would be compared silently, without its effects
+        hint = "discover compares a plant with effects; rl.simulate simulates it"
+        raise InputError(where, f"the nonlinear plant {plant_or_model.name}", "a linear plant or model", hint)
     model = as_model(plant_or_model, "compare")
     outputs, warnings = matched(model.inputs, model.outputs, record)
     if model.is_discrete and abs(model.dt - record.dt) > 1e-3 * record.dt:
-        raise InputError(
-            f"compare {record.name}",
-            f"the model has dt = {model.dt:g} s, the record {record.dt:g} s",
-            "equal sample times",
-            "use the continuous model",
-        )
+        found = f"the model has dt = {model.dt:g} s, the record {record.dt:g} s"
+        raise InputError(where, found, "equal sample times", "use the continuous model")
     return Response(model, outputs, warnings)
 
 
@@ -154,21 +142,18 @@ def matched(
 ) -> tuple[tuple[Signal, ...], tuple[str, ...]]:
     """Return the outputs common to a record and a model, with units as recorded or in the model, and warnings."""
     where = f"compare {record.name}"
-    for signal in inputs:
-        if signal.name in record.inputs:
-            continue
-        have = ", ".join(record.inputs) or "none"
-        hint = did_you_mean(signal.name, list(record.inputs))
-        if signal.name in record.outputs:
-            hint = f"{signal.name} is stored as an output: read the record with {signal.name} among its inputs"
-        raise InputError(
-            where, f"the record has no input {signal.name!r} (its inputs: {have})", "every input of the model", hint
-        )
+    own_inputs, own_outputs = (", ".join(side) or "none" for side in (record.inputs, record.outputs))
+    for name in (s.name for s in inputs if s.name not in record.inputs):
+        hint = did_you_mean(name, list(record.inputs))
+        if name in record.outputs:
+            hint = f"{name} is stored as an output: read the record with {name} among its inputs"
+        found = f"the record has no input {name!r} (its inputs: {own_inputs})"
+        raise InputError(where, found, "every input of the model", hint)
     compared = tuple(s for s in outputs if s.name in record.outputs)
     if not compared:
-        have = ", ".join(record.outputs) or "none"
         known = ", ".join(s.name for s in outputs)
-        raise InputError(where, f"no output in common (record: {have}; model: {known})", "at least one common output")
+        found = f"no output in common (record: {own_outputs}; model: {known})"
+        raise InputError(where, found, "at least one common output")
     warnings = _check_units(where, (*inputs, *compared), record)
     factors = _conversions(record, compared)
     shared = (Signal(s.name, s.unit if s.name in factors else record.unit(s.name) or s.unit) for s in compared)
@@ -185,7 +170,7 @@ def with_units(record: Record, signals: Sequence[Signal]) -> Record:
         {name: values * factors[name] if name in factors else values for name, values in side.items()}
         for side in (record.inputs, record.outputs)
     )
-    return Record(record.t, inputs, outputs, {**record.units, **units}, record.name, record.meaning)
+    return replace(record, inputs=inputs, outputs=outputs, units={**record.units, **units})
 
 
 def converted(record: Record, signals: Sequence[Signal]) -> dict[str, str]:
@@ -223,13 +208,9 @@ def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) 
                 expected, hint = f"{unit} as in the model", "convert the record, or correct its unit"
                 raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", expected, hint)
             warnings.append(f"{name}: {converted(record, [Signal(name, unit)])[name]}")
-        if not measured or not unit:
-            who = (
-                "neither the record nor the model states"
-                if not (measured or unit)
-                else f"the {'model' if measured else 'record'} does not state"
-            )
-            warnings.append(
-                f"{name}: {who} a unit; {'taken as ' + (measured or unit) if measured or unit else 'taken as equal'}"
-            )
+        if not measured and not unit:
+            warnings.append(f"{name}: neither the record nor the model states a unit; taken as equal")
+        elif not measured or not unit:
+            silent = "model" if measured else "record"
+            warnings.append(f"{name}: the {silent} does not state a unit; taken as {measured or unit}")
     return warnings

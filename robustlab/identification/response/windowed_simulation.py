@@ -7,7 +7,7 @@ is white with the variance of the noise (Brown, Durbin, Evans 1975).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -52,7 +52,8 @@ class LinearResponse:
 
     response: Response
     whole: Stretch
-    pushes: Array | None = None  # rate of the states per unit of each added force, (n_x, n_forces)
+    # rate of the states per unit of each added force, (n_x, n_forces)
+    pushes: Array = field(default_factory=lambda: np.zeros((0, 0)))
     together: ClassVar[bool] = False  # True if the weight is that of the noise: all outputs predict one's residual
 
     @property
@@ -73,15 +74,16 @@ class LinearResponse:
             y = np.stack([response.simulate(part.t, part.u, np.zeros(n_x)) for part in parts])
             free = np.stack([response.free_response(part.t) if shared is None else shared for part in parts])
             pushed = np.zeros((*y.shape, 0))
-            if added is not None and self.pushes is not None:
-                alone = [self._pushed(part.t, added[a : a + length]) for a, part in zip(chosen, parts, strict=True)]
-                pushed = np.stack(alone)
+            if added is not None:
+                pushed = np.stack(
+                    [self._pushed(p.t, added[a : a + length]) for a, p in zip(chosen, parts, strict=True)]
+                )
             yield WindowResponses(chosen, y, np.zeros((len(chosen), n_x)), free, pushed)
 
     def _pushed(self, t: Array, forces: Array) -> Array:
         """Simulate the response to each force alone, (n, n_y, n_forces)."""
         model, found = self.response.model.select(outputs=self.response.output_names), []
-        for push, d in zip((self.pushes if self.pushes is not None else forces[:0]).T, forces.T, strict=True):
+        for push, d in zip(self.pushes.T, forces.T, strict=True):
             through = np.zeros((model.n_outputs, 1))
             alone = StateSpaceModel(model.A, push[:, None], model.C, through, 0.0, ["d"], model.outputs)
             found.append(Response(alone, self.response.outputs, ()).simulate(t, {"d": d}, np.zeros(model.n_states)))
@@ -162,12 +164,10 @@ Windowed = LinearResponse | MotionResponse
 class InitialState(Evidence):
     """Initial state of the free run."""
 
-    # x0, std: estimate and its standard deviation, shape (n_x,)
-    x0: Array
-    std: Array
+    x0: Array  # (n_x,)
+    std: Array  # its standard deviation
     names: tuple[str, ...]  # of the states
-    # samples, seconds: length of the fitted stretch
-    samples: int
+    samples: int  # length of the fitted stretch
     seconds: float
     rank: int  # number of state directions that the recorded outputs determine, at most n_x
 
@@ -203,11 +203,9 @@ def starting_state(model: Windowed, longest: int) -> InitialState:
 class FitOfWindows:
     """Least-squares fits of the states at the starts of windows."""
 
-    # x0, std, rank: states (n_windows, n_x), their standard deviations for white errors, and the number of determined
-    # directions of each
-    x0: Array
-    std: Array
-    rank: Indices
+    x0: Array  # (n_windows, n_x)
+    std: Array  # their standard deviations for white errors
+    rank: Indices  # number of determined directions, (n_windows,)
     left: Array  # remaining weighted errors, (n_windows, length, n_y)
 
 
@@ -264,6 +262,8 @@ def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSim
 
     Without ``together`` each sample of the residual is predicted from samples of the same output only.
     """
+    from robustlab.identification.response.recursion_kernel import predict
+
     y, weight, n_x = model.whole.y, model.whole.weight, len(model.state_names)
     simulated, residual = np.full((2, *y.shape), np.nan)
     sizes, states = np.diff(edges), np.empty((len(edges) - 1, n_x))
@@ -275,17 +275,9 @@ def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSim
             states[np.searchsorted(edges, windows.starts)] = fit.x0
             for free, left, place in zip(windows.free * weight[:, None], fit.left, at, strict=True):
                 for group in groups:
-                    rows = free[:, group].reshape(left[:, group].size, n_x)
-                    predicted = _recursive(rows, left[:, group].reshape(-1, 1))
-                    residual[place, group] = predicted.reshape(size, -1) / weight[group]
+                    value = left[:, group].reshape(-1, 1).copy()
+                    rows = free[:, group].reshape(len(value), n_x).copy()
+                    norm = np.linalg.norm(rows, axis=0)
+                    predict(rows, value, NO_INFORMATION * np.where(norm > 0, norm, 1.0))  # in place
+                    residual[place, group] = value.reshape(size, -1) / weight[group]
     return WindowedSimulation(edges, simulated, states, residual)
-
-
-def _recursive(rows: Array, values: Array) -> Array:
-    """Compute the recursive residual (n, 1) of the errors of rows (n, n_x), from any one initial state."""
-    from robustlab.identification.response.recursion_kernel import predict
-
-    size = np.linalg.norm(rows, axis=0)
-    result = np.array(values, order="C")
-    predict(np.array(rows, order="C"), result, NO_INFORMATION * np.where(size > 0, size, 1.0))
-    return result

@@ -8,7 +8,7 @@ disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,18 +100,16 @@ class FrequencyData(Tabular, Evidence):
         outputs: tuple[str, ...] | list[str],
         name: str = "frequency response",
     ) -> None:
-        w = real_array("omega", omega, 1, name)
+        w, shape = real_array("omega", omega, 1, name), (np.size(omega), len(outputs))
         try:
             G = np.array(response, dtype=np.complex128)
         except (TypeError, ValueError):
             raise InputError(name, f"response: {response!r}", "complex numbers") from None
         G = G[:, None] if G.ndim == 1 else G
-        if w.ndim != 1 or not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
+        if not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
             raise InputError(name, "omega", "finite increasing frequencies in rad/s, shape (n,)")
-        if G.shape != (len(w), len(outputs)) or not np.isfinite(G).all():
-            raise InputError(
-                name, f"response of shape {G.shape}", f"finite numbers of shape ({len(w)}, {len(outputs)})"
-            )
+        if G.shape != shape or not np.isfinite(G).all():
+            raise InputError(name, f"response of shape {G.shape}", f"finite numbers of shape {shape}")
         vars(self).update(omega=w, response=G, input=input, outputs=tuple(outputs), name=name)
         self.__post_init__()
 
@@ -177,31 +175,39 @@ class SpectralProblem:
                 found[:, i] = np.where(top > 0, top / under, 0.0)
         return found
 
-    def scaled(self) -> SpectralProblem:
-        """Scale w and z of each block by its nominal z, and remove every block where its z is zero."""
-        M11, M21, z0 = self.M11.copy(), self.M21.copy(), self.z0.copy()
-        scales = []
-        for rows, cols in self.blocks:
-            size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
-            M21[:, :, rows] *= size
-            M11[:, :, rows] *= size
-            M11[:, cols] /= size
-            z0[:, cols] /= size
-            scales.append(size)
-        loop = float(np.abs(M11).max(initial=0.0))
-        silent = []
-        for _, cols in self.blocks:
-            size = np.linalg.norm(z0[:, cols], axis=1)
-            silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
-            z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
-        # An undriven well-posed loop is at zero: (I - M11 Delta) z = 0.
-        undriven = np.all(silent, axis=0)
-        for (rows, cols), quiet in zip(self.blocks, silent, strict=True):
-            alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
-            still = quiet if alone else undriven
-            M21[np.ix_(still, range(M21.shape[1]), range(rows.start, rows.stop))] = 0.0
-            M11[np.ix_(still, range(M11.shape[1]), range(rows.start, rows.stop))] = 0.0
-        return replace(self, M11=M11, M21=M21, z0=z0, scale=np.array(scales))
+
+def _problem(
+    uncertain: UncertainModel, omega: Array, response: ComplexArray, forced: ComplexArray, y: ComplexArray,
+    bound: Array, *, weight: Array, real: NDArray[np.bool_], total: bool, radius: Array,
+) -> SpectralProblem:  # fmt: skip
+    """Scale w and z of each block by its nominal z, and remove every block where its z is zero.
+
+    ``response``: of M, (n, p + n_y, q + n_u). ``forced``: nominal z and outputs. ``y``: measured outputs.
+    """
+    blocks, (q, p) = tuple(block_slices(uncertain.blocks)), uncertain.delta_shape
+    M11, M21, z0 = response[:, :p, :q].copy(), response[:, p:, :q] / bound[..., None], forced[:, :p].copy()
+    scales, silent = [], []
+    for rows, cols in blocks:
+        size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
+        M21[:, :, rows] *= size
+        M11[:, :, rows] *= size
+        M11[:, cols] /= size
+        z0[:, cols] /= size
+        scales.append(size)
+    loop = float(np.abs(M11).max(initial=0.0))
+    for _, cols in blocks:
+        size = np.linalg.norm(z0[:, cols], axis=1)
+        silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
+        z0[silent[-1], cols] = 0.0
+    # An undriven well-posed loop is at zero: (I - M11 Delta) z = 0.
+    undriven = np.all(silent, axis=0)
+    for (rows, cols), quiet in zip(blocks, silent, strict=True):
+        alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
+        still = quiet if alone else undriven
+        M21[still, :, rows] = 0.0
+        M11[still, :, rows] = 0.0
+    names, e = tuple(b.name for b in uncertain.blocks), (y - forced[:, p:]) / bound
+    return SpectralProblem(omega, M11, M21, z0, e, weight, real, total, radius, blocks, names, np.array(scales))
 
 
 @dataclass(frozen=True)
@@ -224,7 +230,6 @@ class Spectrum:
 def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
-    _refused_blocks(uncertain, where)
     recorded = prepared(uncertain, record, noise, at_rest=True)
     try:
         floor = noise_floor(record, outputs=[s.name for s in recorded.outputs])
@@ -266,78 +271,52 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
     response = frequency_response(StateSpaceModel(A, B, M.C, M.D, dt=dt), 2 * np.pi * f)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n
     forced = np.einsum("kij,kj->ki", response[:, :, q:], U)
-    e = (Y - forced[:, p:]) / recorded.bound
-    left, weight = np.sqrt(1 - changing), np.where(edge, 1.0, 2.0)[kept]
-    problem = SpectralProblem(
-        2 * np.pi * f, response[:, :p, :q], response[:, p:, :q] / recorded.bound[None, :, None], forced[:, :p], e,
-        weight=weight, real=edge[kept], total=True, radius=left, **_layout(uncertain),
-    ).scaled()  # fmt: skip
-    whole = np.zeros((n // 2 + 1, len(recorded.outputs)), dtype=complex)
-    whole[kept] = forced[:, p:] * n
-    nominal = np.fft.irfft(whole, n, axis=0)
-    if integrates:
-        nominal = nominal + y.mean(axis=0)
+    problem = _problem(
+        uncertain, 2 * np.pi * f, response, forced, Y, recorded.bound[None],
+        weight=np.where(edge, 1.0, 2.0)[kept], real=edge[kept], total=True, radius=np.sqrt(1 - changing),
+    )  # fmt: skip
+    nominal = _period(forced[:, p:], n) + (y.mean(axis=0) if integrates else 0.0)
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
-    t, nominal = np.arange(n, dtype=np.float64) * dt, np.asarray(nominal, dtype=np.float64)
-    unit = recorded.bound[None]
+    t, unit = np.arange(n, dtype=np.float64) * dt, recorded.bound[None]
     return Spectrum(problem, recorded.outputs, bound, t, y, nominal, Y, unit, tuple(assumptions))
+
+
+def _period(lines: ComplexArray, n: int) -> Array:
+    """Return the period of n samples with these lines (all, or all but the mean)."""
+    whole = np.zeros((n // 2 + 1, lines.shape[1]), dtype=complex)
+    whole[len(whole) - len(lines) :] = lines * n
+    return np.asarray(np.fft.irfft(whole, n, axis=0), dtype=np.float64)
 
 
 def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Return the lines of a measured frequency response; a noise bound is one number or one for each line (n,)."""
     where = f"validate {data.name}"
-    _refused_blocks(uncertain, where)
     names = [s.name for s in uncertain.inputs]
     known = {"input": names, "output": [s.name for s in uncertain.outputs]}
     for kind, given in (("input", (data.input,)), ("output", data.outputs)):
         if unknown := [name for name in given if name not in known[kind]]:
             raise InputError(where, f"the model has no {kind} {unknown[0]!r}", f"one of {', '.join(known[kind])}")
     chosen = uncertain.select(outputs=list(data.outputs))
-    n = len(data.omega)
-    for name in set(noise) - set(data.outputs):
-        raise InputError(f"{where}: noise of {name!r}", "no such output", f"one of {', '.join(data.outputs)}")
-    bound = np.empty((n, len(data.outputs)))
-    for j, name in enumerate(data.outputs):
-        given = np.asarray(noise.get(name, np.nan), dtype=np.float64)
-        if given.shape not in ((), (n,)):
-            raise InputError(f"{where}: noise of {name!r}", f"shape {given.shape}", f"one number, or ({n},)")
-        lowest = {name: float(given.min())} if name in noise else {}
-        noise_bounds(lowest, (name,), where)
-        if not np.isfinite(given).all():
-            raise InputError(f"{where}: noise of {name!r}", "numbers that are not finite", "positive numbers")
-        bound[:, j] = given
-    M, (q, p) = chosen.M, uncertain.delta_shape
+    n, M, (q, p) = len(data.omega), chosen.M, uncertain.delta_shape
+    given = {name: np.asarray(value, dtype=np.float64) for name, value in noise.items()}
+    for name, value in given.items():
+        if value.shape not in ((), (n,)):
+            raise InputError(f"{where}: noise of {name!r}", f"shape {value.shape}", f"one number, or ({n},)")
+    for of_lines in (np.min, np.max):
+        noise_bounds({name: float(of_lines(value)) for name, value in given.items()}, data.outputs, where)
+    bound = np.column_stack([np.broadcast_to(given[name], n) for name in data.outputs])
     if M.is_discrete and data.omega[-1] > np.pi / M.dt * (1 + 1e-9):
         raise InputError(where, f"{data.omega[-1]:g} rad/s", f"at most pi / dt = {np.pi / M.dt:g} rad/s")
     response = frequency_response(M, data.omega)
     forced = response[:, :, q + names.index(data.input)]
-    e = (data.response - forced[:, p:]) / bound
-    problem = SpectralProblem(
-        data.omega, response[:, :p, :q], response[:, p:, :q] / bound[:, :, None], forced[:, :p], e,
-        weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)), **_layout(uncertain),
-    ).scaled()  # fmt: skip
+    problem = _problem(
+        uncertain, data.omega, response, forced, data.response, bound,
+        weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)),
+    )  # fmt: skip
     assumptions = ("at each frequency the noise of an output is within its bound",)
     largest = {name: float(bound[:, j].max()) for j, name in enumerate(data.outputs)}
     sizes = np.abs(data.response), np.abs(forced[:, p:])
     return Spectrum(problem, chosen.outputs, largest, data.omega, *sizes, data.response, bound, assumptions)
-
-
-def _layout(uncertain: UncertainModel) -> dict[str, Any]:
-    """Return the block fields of an unscaled problem."""
-    names = tuple(b.name for b in uncertain.blocks)
-    return {"blocks": tuple(block_slices(uncertain.blocks)), "names": names, "scale": np.ones(len(names))}
-
-
-def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
-    for block in uncertain.blocks:
-        if block.is_real:
-            raise InputError(
-                where, f"block {block.name!r} is a real constant, one over all frequencies",
-                "complex and full blocks: at each frequency alone it would count as another one", 'domain="time"',
-            )  # fmt: skip
-        if not block.is_ball:
-            raise InputError(where, f"block {block.name!r} is one scalar repeated {block.rows} times",
-                             "blocks whose w may be any vector not longer than z", 'domain="time"')  # fmt: skip
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
@@ -361,9 +340,18 @@ def validate_by_lines(
     progress: Callable[[str], None],
 ) -> Validation:
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
+    where = f"validate {data.name}"
     if not uncertain.blocks:
         hint = 'domain="time" tests whether noise alone explains a record'
-        raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
+        raise InputError(where, "a set without blocks in the frequency domain", "a block", hint)
+    hint, expected = 'domain="time"', "complex scalars and full blocks"
+    for block in uncertain.blocks:
+        if block.is_real:
+            found = f"block {block.name!r} is a real constant, one over all frequencies"
+            raise InputError(where, found, expected, hint)  # at each frequency alone it would count as another one
+        if not block.is_ball:  # w may not be any vector not longer than z
+            found = f"block {block.name!r} is one scalar repeated {block.rows} times"
+            raise InputError(where, found, expected, hint)
     if isinstance(data, Record):
         spectrum = spectrum_of_record(uncertain, data, noise)
     else:
@@ -421,10 +409,7 @@ def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
     moved = np.einsum("kij,kj->ki", problem.M21, w) * spectrum.unit_noise
     if not problem.total:
         return np.abs(spectrum.complex_y - problem.e * spectrum.unit_noise + moved)
-    n = len(spectrum.t)
-    whole = np.zeros((n // 2 + 1, moved.shape[1]), dtype=complex)
-    whole[len(whole) - problem.n :] = moved * n
-    return spectrum.nominal + np.fft.irfft(whole, n, axis=0)
+    return spectrum.nominal + _period(moved, len(spectrum.t))
 
 
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
