@@ -78,22 +78,18 @@ class CampaignResult(Tabular, Displayable, AllFields):
     kind: str  # of samples
     metric: str
     unit: str
-    # n, done, lost: samples requested, with a value, and without one
-    n: int
-    done: int
-    lost: int
+    n: int  # samples requested
+    done: int  # of these with a value
+    lost: int  # and without one
     unbounded: int  # samples whose value is infinite (unstable members)
     sense: int  # 1 where the largest value is the worst, -1 where the smallest is
-    # worst, worst_index, delta, physical: worst value, the sample that has it, its normalised Delta, and its parameters
-    # as (value, unit)
-    worst: float
-    worst_index: int
-    delta: Mapping[str, Any]
-    physical: Mapping[str, tuple[float, str]]
-    # at, location, again: where the worst value is attained, and its value, by the second method
-    at: float
+    worst: float  # the worst value
+    worst_index: int  # the sample that has it
+    delta: Mapping[str, Any]  # its normalised Delta
+    physical: Mapping[str, tuple[float, str]]  # its parameters as (value, unit)
+    at: float  # where the worst value is attained, by the second method
     location: str
-    again: float
+    again: float  # the worst value by the second method
     nominal: float  # the metric at Delta = 0
     quantiles: tuple[Quantile, ...]  # for samples only, once all are stored
     # Largest probability, at 95 % confidence, of a member worse than the worst sample; NaN where not sampled.
@@ -114,18 +110,18 @@ class CampaignResult(Tabular, Displayable, AllFields):
         missing = self.n - self.done - self.lost
         words = ((self.lost, "lost"), (missing, "missing yet"), (self.unbounded, "without a bounded value"))
         counts = [f"{self.done} of {self.n} {many}", *(f"{c} {word}" for c, word in words if c)]
-        limit, v = "", self.violation
+        limit, v, sure = "", self.violation, "with 95 % confidence"
         if v is not None:
-            bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side with 95 % confidence"
+            bounds = f"probability {v.lower:.4g} .. {v.upper:.4g}, each side {sure}"
             limit = f"{number(v.limit, self.unit, 9)}: {v.count} of {v.of} (lost ones counted); {bounds}"
-        unseen = f"at most {self.unseen:.3g} of the set, with 95 % confidence"
+        unseen = "" if math.isnan(self.unseen) else f"at most {self.unseen:.3g} of the set, {sure}"
         return [
             (f"worst {self.metric}", worst if self.done else ""),
             ("through the second path", number(self.again, self.unit, 9)),
             ("nominal", number(self.nominal, self.unit, 9)),
             ("worst member", member(self.delta, self.physical)),
             (many, ", ".join([*counts, f"seed {self.seed}"])),
-            ("members worse than all of these", "" if math.isnan(self.unseen) else unseen),
+            ("members worse than all of these", unseen),
             ("worse than", limit),
             ("meaning", self.label),
             ("store", self.store),
@@ -158,11 +154,10 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
     settings, blocks, sense = evaluator.settings, evaluator.uncertain.blocks, evaluator.sense
     (done, lost), facts, worst = store.counts(), store.facts(), store.worst(sense)
     n, (unbounded, above, seconds) = done + lost, store.totals(sense, limit)
-    complete, digest = n >= settings.n, store.digest()
-    if facts and complete and facts["digest"] != digest:
-        raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
-    status = Status.INCONCLUSIVE
-    if complete and facts:
+    complete, digest, status = n >= settings.n, store.digest(), Status.INCONCLUSIVE
+    if facts and complete:
+        if facts["digest"] != digest:
+            raise InputError(store.where, "its rows were changed after the campaign ended (the digest differs)")
         status = Status.CONVERGED if worst is not None and facts["agrees"] else Status.INACCURATE
     delta = decoded(blocks, worst.numbers) if worst else {}
     sampled, violation = settings.kind == "samples" and done > 0, None
@@ -193,9 +188,7 @@ def result_of(store: Store, evaluator: Evaluator, limit: float | None = None) ->
         quantiles=_quantiles(store, sense, lost) if sampled and complete else (),
         unseen=clopper_pearson(lost, n, TWO_SIDED)[1] if sampled else math.nan,
         violation=violation,
-        lost_samples=tuple(
-            LostSample(row.index, row.reason, decoded(blocks, row.numbers)) for row in store.lost(SHOWN_LOST)
-        ),
+        lost_samples=tuple(LostSample(r.index, r.reason, decoded(blocks, r.numbers)) for r in store.lost(SHOWN_LOST)),
         digest=digest,
         seconds=seconds,
         seed=settings.seed,

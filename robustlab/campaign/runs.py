@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from robustlab import checks
 from robustlab.campaign.campaign_result import CampaignResult, result_of
 from robustlab.campaign.evaluation import (
     CampaignSettings,
@@ -48,9 +49,8 @@ class Crew:
     cluster: str | None = None  # instead: address of a Dask scheduler, whose workers are used
 
     def __post_init__(self) -> None:
-        count = self.workers
-        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
-            raise InputError("campaign", f"{count!r} workers", "a whole number, at least 1")
+        if self.workers is not None:
+            checks.whole("campaign: workers", self.workers, 1)
 
 
 ALL_PROCESSORS = Crew()
@@ -123,24 +123,22 @@ def _work(
     store: Store, evaluator: Evaluator, crew: Crew, limit: float | None, progress: Callable[[int], None]
 ) -> CampaignResult:
     """Complete an open, locked store, check its worst sample, read and close it."""
-    finished = False
+    finished, n, before = False, evaluator.settings.n, sum(store.counts())
     try:
-        n, before = evaluator.settings.n, sum(store.counts())
         progress(before)
+        if before < n:
+            started = (
+                _on_cluster(crew.cluster) if crew.cluster is not None else _on_this_machine(crew.workers, n - before)
+            )
+            with started as workers:
+                compute_missing(store, evaluator, workers, progress)
         if before < n or not store.facts():
-            try:
-                if before < n:
-                    cluster = crew.cluster
-                    started = _on_this_machine(crew.workers, n - before) if cluster is None else _on_cluster(cluster)
-                    with started as workers:
-                        compute_missing(store, evaluator, workers, progress)
-                _note_end(store, evaluator)
-            except EnvironmentFault as fault:
-                go_on = f"robustlab campaign resume {store.where}"
-                hint = f"{fault.hint}; then {go_on}" if fault.hint else f"mend it, then {go_on}"
-                raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
+            _note_end(store, evaluator)
         finished = True
         return result_of(store, evaluator, limit)
+    except EnvironmentFault as fault:
+        hint = f"{fault.hint or 'mend it'}; then robustlab campaign resume {store.where}"
+        raise type(fault)(fault.where, fault.found, fault.expected, hint, fault.more) from fault
     finally:
         store.close(finished=finished)
 
@@ -167,18 +165,12 @@ def _evaluator(store: Store) -> Evaluator:
 
 def _same_campaign(store: Store, identity: Identity) -> None:
     """Reject a store of another campaign."""
-    changes = differences(store.identity, identity)
-    if not changes:
-        return
-    since = "changed since sample 0" if sum(store.counts()) else "differs from the one that was begun"
-    store.close()
-    raise InputError(
-        store.where,
-        f"the campaign {since} ({changes[0]})",
-        None,
-        "--restart computes all samples anew, another --store keeps this one",
-        tuple(f"{store.where}: {line}" for line in changes[1:]),
-    )
+    if changes := differences(store.identity, identity):
+        since = "changed since sample 0" if sum(store.counts()) else "differs from the one that was begun"
+        store.close()
+        hint = "--restart computes all samples anew, another --store keeps this one"
+        more = tuple(f"{store.where}: {line}" for line in changes[1:])
+        raise InputError(store.where, f"the campaign {since} ({changes[0]})", None, hint, more)
 
 
 # --- workers ---------------------------------------------------------------------------------------------------------
@@ -235,9 +227,8 @@ def _on_cluster(address: str) -> Iterator[Workers]:
     try:
         from distributed import Client
     except ImportError:
-        raise DependencyMissing(
-            "campaign --cluster", "needs dask.distributed", None, "pip install 'robustlab[cluster]'"
-        ) from None
+        hint = "pip install 'robustlab[cluster]'"
+        raise DependencyMissing("campaign --cluster", "needs dask.distributed", None, hint) from None
     where = f"--cluster {address}"
     try:
         client: Any = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
@@ -283,13 +274,10 @@ def compute_missing(store: Store, evaluator: Evaluator, workers: Workers, progre
     pieces = cut()
     while True:
         if lost > MAX_LOST_SHARE * n:
-            raise NoTrustworthyNumber(
-                store.where,
-                f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %",
-                None,
-                "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample",
-                tuple(f"sample {row.index}: {row.reason}" for row in store.lost(3)),
-            )
+            found = f"{lost} of {n} samples are lost, more than {100 * MAX_LOST_SHARE:g} %"
+            hint = "rl.sample(set, n, seed).deltas[INDEX] is the member of a lost sample"
+            more = tuple(f"sample {row.index}: {row.reason}" for row in store.lost(3))
+            raise NoTrustworthyNumber(store.where, found, None, hint, more)
         while len(under_way) <= workers.n and (piece := next(pieces, None)) is not None:
             under_way.add(workers.executor.submit(compute, identity, model, *piece))
         if not under_way:

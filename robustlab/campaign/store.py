@@ -127,10 +127,10 @@ class Store:
         if verdict != "ok":
             raise _damaged(self.where, str(verdict).splitlines()[-1])
         try:
-            hash_of_content = self.identity.hash
+            intact = self.identity.hash == self.get("hash")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _damaged(self.where, f"its settings cannot be read ({error})") from None
-        if hash_of_content != self.get("hash"):
+        if not intact:
             raise _damaged(self.where, "its settings do not match their hash")
 
     def close(self, *, finished: bool = False) -> None:
@@ -167,21 +167,17 @@ class Store:
 
     def save(self, rows: Rows) -> None:
         """Write samples in one transaction."""
-        deltas, values = rows.deltas.astype("<f8"), list[tuple[Any, ...]]()
-        for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
-            index = rows.first + i
+        values, columns = (
+            list[tuple[Any, ...]](),
+            (rows.values.tolist(), rows.deltas.astype("<f8"), rows.seconds.tolist()),
+        )
+        for index, (value, delta, seconds) in enumerate(zip(*columns, strict=True), rows.first):
             reason = rows.lost.get(index)
             status, number = (DONE, value) if reason is None else (LOST, None)
-            values.append((index, status, number, deltas[i].tobytes(), seconds, reason))
-        with _named(self.path):
-            try:
-                self._db.execute("BEGIN IMMEDIATE")
-                self._db.executemany("INSERT OR REPLACE INTO sample VALUES (?, ?, ?, ?, ?, ?)", values)
-                self._db.execute("COMMIT")
-            except sqlite3.Error:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+            values.append((index, status, number, delta.tobytes(), seconds, reason))
+        with _named(self.path), self._db:  # commits, or rolls back on an error
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.executemany("INSERT OR REPLACE INTO sample VALUES (?, ?, ?, ?, ?, ?)", values)
 
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Return gaps ``(first, last)`` in 0 .. n - 1, each without its last index."""
@@ -261,9 +257,8 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _damaged(where: str, what: str) -> InputError:
-    return InputError(
-        where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart"
-    )
+    hint = "copy it again from a backup, or start with --restart"
+    return InputError(where, f"damaged campaign store: {what}", None, hint)
 
 
 @contextmanager
@@ -272,16 +267,16 @@ def locked(path: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     folder = path.absolute().parent
+    where, expected, lock = str(path), "a folder that can be written", FileLock(f"{path}.lock", timeout=0)
     if not folder.is_dir():  # the lock would create it
-        raise EnvironmentFault(str(path), f"no such folder {folder}", "a folder that can be written")
-    lock = FileLock(f"{path}.lock", timeout=0)
+        raise EnvironmentFault(where, f"no such folder {folder}", expected)
     try:
         lock.acquire()
     except Timeout:
-        raise EnvironmentFault(str(path), "locked by another run", None, "wait for it, or stop it") from None
+        raise EnvironmentFault(where, "locked by another run", None, "wait for it, or stop it") from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise EnvironmentFault(str(path), f"cannot be locked: {reason}", "a folder that can be written") from None
+        raise EnvironmentFault(where, f"cannot be locked: {reason}", expected) from None
     try:
         yield
     finally:

@@ -19,7 +19,7 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import one_thread
 from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import EffectParameter, Scales
+from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedEquations
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
@@ -163,9 +163,9 @@ def watch(
     While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` for the test's E (Ville's
     inequality), for any length of the log and at any time.
 
-    ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``. The parameters are
-    constant, and the model is linear within their uncertainty after the first piece; windows in which it is not are
-    excluded. A drift of the state that is slower than a window is no change.
+    ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``; the parameters are
+    constant, and the model is linear within their uncertainty after the first piece (windows in which it is not are
+    excluded). A drift of the state that is slower than a window is no change.
 
     Parameters
     ----------
@@ -337,18 +337,17 @@ def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, fl
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
     """Make an effect of the model a candidate to be refitted, with priors about its present values."""
     known = next((c for c in pool if (c.effect, c.site) == (there.effect, there.site)), None)
-    parameters = there.parameters if known is None else known.parameters  # with the units of its joint
-    parameters = tuple(_about(p, there.values[p.name], there.std.get(p.name, 0.0)) for p in parameters)
-    return Candidate(there.effect, there.site, parameters, (dict(there.values),), known.scales if known else Scales())
-
-
-def _about(parameter: EffectParameter, value: float, std: float) -> EffectParameter:
-    prior, centre, spread = parameter.prior, value, parameter.prior.spread
-    if prior.kind == "log":
-        centre, spread = value or np.finfo(float).tiny ** 0.25 * prior.centre, OWN_SPREAD
-    elif prior.kind == "linear":
-        spread = std or OWN_SPREAD * abs(value) or prior.spread
-    return replace(parameter, prior=replace(prior, centre=centre, spread=spread))
+    parameters = []
+    for p in known.parameters if known else there.parameters:  # of the pool: with the units of its joint
+        prior, value = p.prior, there.values[p.name]
+        if prior.kind == "log":
+            prior = replace(prior, centre=value or np.finfo(float).tiny ** 0.25 * prior.centre, spread=OWN_SPREAD)
+        else:
+            std = there.std.get(p.name, 0.0) or OWN_SPREAD * abs(value) if prior.kind == "linear" else 0.0
+            prior = replace(prior, centre=value, spread=std or prior.spread)
+        parameters.append(replace(p, prior=prior))
+    scales = known.scales if known else Scales()
+    return Candidate(there.effect, there.site, tuple(parameters), (dict(there.values),), scales)
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
@@ -406,7 +405,7 @@ class ChangeTest:
     def add(self, piece: PieceEquations) -> float:
         """Return log E after one more piece."""
         self.pieces.append(piece)
-        return float(np.logaddexp(log_sum(self.evidence()), -np.log(len(self.pieces) + 1.0)))
+        return float(np.logaddexp(np.logaddexp.reduce(self.evidence()), -np.log(len(self.pieces) + 1.0)))
 
     def evidence(self) -> Array:
         """Compute the log evidence of a change from each piece on, with its prior share, (n_tau,)."""
@@ -416,9 +415,9 @@ class ChangeTest:
         named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
         whole, slow, points, slow_points = (np.array(column) for column in zip(*self.pieces, strict=True))
         scatter = [self._scatter(*kind, v) for kind in ((slow, slow_points), (whole, points)) for v in SCATTERS]
-        unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
+        unnamed = _log_mean(scatter) + np.log(UNNAMED)
         both = np.concatenate([named.reshape(len(tau), -1), unnamed[:, None]], axis=1)
-        return log_sum(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
+        return np.logaddexp.reduce(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
 
     def _strengths(self) -> Array:
         """Compute the log ratio of an abrupt or growing change of each parameter, (n_tau, 2, k)."""
@@ -436,7 +435,7 @@ class ChangeTest:
         for size in SIZES:
             variance = (size * self.size / np.array([[1.0], [GROWING]])) ** 2
             found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
-        return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
+        return _log_mean(found)
 
     def _scatter(self, parts: Array, points: Array, variance: float) -> Array:
         """Compute the log ratio, (n_tau,), of random errors with this variance in the directions of the parts."""
@@ -448,7 +447,7 @@ class ChangeTest:
 
 def onset(evidence: Array) -> tuple[int, int, int]:
     """Return the piece at which the change most probably began, and the ends of its 95 % interval."""
-    share = np.exp(evidence - log_sum(evidence))
+    share = np.exp(evidence - np.logaddexp.reduce(evidence))
     below = np.cumsum(share)
     lower, upper = (min(int(np.searchsorted(below, q)), len(below) - 1) for q in (0.025, 0.975))
     return int(np.argmax(share)), lower, upper
@@ -459,11 +458,9 @@ def _since(values: Array) -> Array:
     return np.cumsum(values[::-1], axis=0)[::-1]
 
 
-def log_sum(logs: Array, axis: int | None = None) -> Array:
-    """Sum numbers given by their logarithms, along an axis or over all."""
-    from scipy.special import logsumexp
-
-    return np.asarray(logsumexp(logs, axis=axis))
+def _log_mean(logs: Sequence[Array]) -> Array:
+    """Average numbers given by their logarithms, over the first axis."""
+    return np.logaddexp.reduce(np.array(logs)) - np.log(len(logs))
 
 
 def _profile(sums: Array, k: int) -> tuple[Array, Array]:

@@ -51,13 +51,12 @@ def excitation(
     ``u``: name -> number or samples (n_t,), other inputs are zero; or an array (n_t,), or (n_t, n_u);
     None for a unit step on the only input.
     """
-    clock = real_array("t", t, 1, where)
-    n, names = len(clock), [s.name for s in inputs]
-    if n < 2:
-        raise InputError(where, f"t has {n} samples", "at least 2")
+    clock, names = real_array("t", t, 1, where), [s.name for s in inputs]
+    n = len(clock)
+    if n < 2 or clock[-1] <= clock[0] or not is_uniform(clock):
+        hint = "use numpy.linspace(0, t_end, n)"
+        raise InputError(where, "t is not uniform", "at least 2 increasing times with one step", hint)
     h = float((clock[-1] - clock[0]) / (n - 1))
-    if h <= 0 or not is_uniform(clock):
-        raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
     if u is None:
@@ -74,11 +73,6 @@ def excitation(
 
 
 # --- Deltas -----------------------------------------------------------------------------------------------------------
-
-
-def is_count(value: Any, least: int) -> bool:
-    """Return whether a number of samples, vertices or threads, or a seed, is an integer >= ``least``."""
-    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
@@ -136,17 +130,14 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         hint = "ask for a number of vertices"
         raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
     number = 2**k if count == "all" else count
-    if number == 0:
-        return np.zeros((0, k))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
-    if k > MAX_LISTED:
-        # Equal draws are rare among so many vertices; duplicates are dropped.
+    if k > MAX_LISTED:  # equal draws are rare among so many vertices; duplicates are dropped
         drawn = rng.integers(0, 2, (number, k))
         bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
     else:
         order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
         bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return real_array("vertices", 2 * bits - 1, 2)
+    return 2.0 * bits - 1.0
 
 
 # --- members ----------------------------------------------------------------------------------------------------------
@@ -156,15 +147,14 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
 class Ensemble:
     """k members of an uncertain model; real, or complex where a Delta is."""
 
-    # A, B, C, D: shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u)
-    A: NDArray[Any]
-    B: NDArray[Any]
-    C: NDArray[Any]
-    D: NDArray[Any]
+    A: NDArray[Any]  # (k, n_x, n_x)
+    B: NDArray[Any]  # (k, n_x, n_u)
+    C: NDArray[Any]  # (k, n_y, n_x)
+    D: NDArray[Any]  # (k, n_y, n_u)
     dt: float  # sample time in s
-    ill_posed: Mask  # shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
-    # Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
-    # member's response does not depend on which others are computed with it.
+    ill_posed: Mask  # (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
+    # Powers of two that balance the nominal model's states, (n_x,): a member's response must not depend on which others
+    # are computed with it.
     scale: Array
 
     def __len__(self) -> int:
@@ -175,7 +165,7 @@ class Ensemble:
         return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
-        """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
+        """Return `StateSpaceModel.spectral_abscissa` of every member, (k,); ``inf`` where ill-posed."""
         poles = np.linalg.eigvals(self.A)
         value = np.abs(poles) - 1.0 if self.dt else poles.real
         return np.where(self.ill_posed, np.inf, value.max(axis=1, initial=-np.inf))
@@ -341,13 +331,13 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
 
 
 def _gains(ensemble: Ensemble, index: NDArray[np.intp], omega: Array) -> Array:
-    """Return the largest singular values of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
+    """Return the gains of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
     a, b, c, d = (getattr(ensemble, name)[index][:, None] for name in "ABCD")
     point = np.exp(1j * omega * ensemble.dt) if ensemble.dt else 1j * omega
     n = a.shape[-1]
-    lhs = point[..., None, None] * np.eye(n) - a
+    right = np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:]))
     try:
-        x = np.linalg.solve(lhs, np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:])))
+        x = np.linalg.solve(point[..., None, None] * np.eye(n) - a, right)
     except np.linalg.LinAlgError:
         found = "a member has a pole so close to the stability boundary that its gain overflows"
         raise NoTrustworthyNumber("worst_case", found) from None

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, listed, number, with_units
@@ -27,7 +28,6 @@ from robustlab.worst_case_analysis.members import (
     MemberSet,
     blocks_of,
     excitation,
-    is_count,
     time_responses,
     vertex_signs,
 )
@@ -55,11 +55,8 @@ class Samples(Tabular, Displayable):
         plant: Any = self.uncertain
         if isinstance(plant, UncertainModel):
             return [plant.evaluate(delta) for delta in self.deltas]
-        ranges = {name: p.range for name, p in plant.parameters.items()}
-        return [
-            plant.with_parameters(**{name: (ranges[name].value(d), 0.0) for name, d in delta.items()})
-            for delta in self.deltas
-        ]
+        values = [{k: plant.parameters[k].range.value(d) for k, d in delta.items()} for delta in self.deltas]
+        return [plant.with_parameters(**{k: (v, 0.0) for k, v in member.items()}) for member in values]
 
     @error_context("respond")
     def respond(
@@ -176,12 +173,11 @@ class Samples(Tabular, Displayable):
 class Responses(Displayable):
     """Time responses of samples, and the envelope of them and the nominal response."""
 
-    t: Array  # times in s, shape (n_t,)
-    u: Array  # input samples, shape (n_t, n_u)
-    y: Array  # outputs, shape (n_samples, n_t, n_y)
-    nominal: Array  # outputs of the nominal model, shape (n_t, n_y)
-    # lower, upper: envelope of the samples and the nominal model, (n_t, n_y); infinite where a response overflows
-    lower: Array
+    t: Array  # times in s, (n_t,)
+    u: Array  # input samples, (n_t, n_u)
+    y: Array  # outputs, (n_samples, n_t, n_y)
+    nominal: Array  # outputs of the nominal model, (n_t, n_y)
+    lower: Array  # envelope of the samples and the nominal model, (n_t, n_y); infinite where a response overflows
     upper: Array
     worst: tuple[int, ...]  # for each output the sample with the largest |y - nominal| at any time
     deltas: Sequence[Mapping[str, Any]]
@@ -251,15 +247,12 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
     [-1.0, 1.0]
     """
     if isinstance(uncertain, LinearPlant):
-        raise InputError(
-            "sample", f"the linear plant {uncertain.name}", "an UncertainModel", "plant.uncertain() is one"
-        )
+        hint = "plant.uncertain() is one"
+        raise InputError("sample", f"the linear plant {uncertain.name}", "an UncertainModel", hint)
     if not isinstance(uncertain, (NonlinearPlant, UncertainModel)):
         raise InputError("sample", type(uncertain).__name__, "an UncertainModel or a nonlinear plant")
-    corners = 0 if isinstance(vertices, str) and vertices == "all" else vertices
-    for name, count in (("n", n), ("vertices", corners), ("seed", seed)):
-        if not is_count(count, 0):
-            raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
+    for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
+        checks.whole(name, count)
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
     if isinstance(uncertain, UncertainModel):

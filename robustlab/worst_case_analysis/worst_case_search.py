@@ -10,15 +10,16 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import MemberSet, chunks, is_count, vertex_signs
+from robustlab.worst_case_analysis.members import MemberSet, chunks, vertex_signs
 from robustlab.worst_case_analysis.metrics import Metric, TimeMetric, make_metric, name_of
 
 LABEL = "sampled: a lower bound of the true worst case"
@@ -39,12 +40,10 @@ ROUNDING = 1e-11  # largest relative change of a score by rounding
 class WorstResponse(Evidence):
     """The response of one output, nominal and of the worst member."""
 
-    t: Array  # times in s, shape (n_t,)
-    # nominal, worst: the output, (n_t,)
-    nominal: Array
+    t: Array  # times in s, (n_t,)
+    nominal: Array  # the output, (n_t,)
     worst: Array
-    # output, unit: its name and unit
-    output: str
+    output: str  # its name and unit
     unit: str
 
 
@@ -175,43 +174,41 @@ def worst_case(
     ({'pole': -1.0}, 4.89)
     """
     budget = search_budget("worst_case", WORK, effort, time_limit)
-    for name, count, least in (("n", n, 1), ("seed", seed, 0)):
-        if not is_count(count, least):
-            raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
+    n, seed = checks.whole("n", n, 1), checks.whole("seed", seed)
     with one_thread():
         judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
         search = _Search(judge, budget)
-        theta, score = search.run(int(n), int(seed))
+        theta, score = search.run(n, seed)
         delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
         again, nominal = judge.evaluate(delta), judge.evaluate({})
         abscissa = float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0])
         response = _response(judge, delta)
-    found = judge.sense * score
+    found, label = judge.sense * score, LABEL_SMALLEST if judge.sense < 0 else LABEL
     status = Status.CONVERGED if again.accurate and judge.agrees(found, again.value) else Status.INACCURATE
-    if search.ended:
-        status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
     if not np.isfinite(again.value):
         label = f"{UNBOUNDED}: {again.reason}" if again.reason else UNBOUNDED
-    remark = [budget.remark] if search.ended and budget.remark else []
+    remark = []
+    if search.ended:
+        status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
+        remark = [budget.remark] if budget.remark else []
     return WorstCase(
-        again.value,
-        delta,
-        name_of(metric),
-        nominal.value,
-        status,
-        "; ".join([label, *remark, *uncertain.remarks]),
-        search.evaluations,
-        uncertain.physical(delta),
-        again.at,
-        judge.location,
-        found,
-        judge.unit,
-        input,
-        output,
-        abscissa,
-        int(seed),
-        response,
+        value=again.value,
+        delta=delta,
+        metric=name_of(metric),
+        nominal_value=nominal.value,
+        status=status,
+        label="; ".join([label, *remark, *uncertain.remarks]),
+        evaluations=search.evaluations,
+        physical=uncertain.physical(delta),
+        at=again.at,
+        location=judge.location,
+        search_value=found,
+        unit=judge.unit,
+        input=input,
+        output=output,
+        spectral_abscissa=abscissa,
+        seed=seed,
+        response=response,
     )
 
 
@@ -236,8 +233,7 @@ class _Search:
     """A search from the centre, vertices and Sobol points; scores are ``sense * value``: the larger the worse."""
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
-        self.metric, self.budget = metric, budget
-        self.evaluations = 0
+        self.metric, self.budget, self.evaluations = metric, budget, 0
         self.ended = False  # early, by the budget
         self.best, self.top = np.zeros(metric.set.size), -np.inf
 

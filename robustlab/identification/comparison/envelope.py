@@ -15,7 +15,7 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.display import Each, Facts, number
 from robustlab.dynamics.plant_contract import NonlinearPlant
-from robustlab.errors import InputError, NoTrustworthyNumber
+from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.response.response import response_of
 from robustlab.identification.response.windowed_simulation import SHORTEST_START, LinearResponse, starting_state
 from robustlab.record import Record
@@ -145,10 +145,12 @@ def cover(
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
-    where, allowed = f"cover {record.name}: allowance", dict.fromkeys(names, 0.0)
+    allowed = dict.fromkeys(names, 0.0)
     for name, value in (allowance or {}).items():
-        checks.choice(where, name, names)
-        allowed[name] = checks.number(f"{where} of {name!r}", value, "a number that is not negative", at_least=0)
+        where = f"cover {record.name}: allowance of {name!r}"
+        if name not in names:
+            raise unknown_name(where, "no such compared output", name, names)
+        allowed[name] = checks.number(where, value, "a number that is not negative", at_least=0)
     lag = 0 if rate is None or not np.isfinite(rate) else round(rate / record.dt)
     if rate is not None and not 1 <= lag <= record.n // 4:
         span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"

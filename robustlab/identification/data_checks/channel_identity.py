@@ -192,33 +192,33 @@ def _from_derivatives(
     factors: Sequence[Factors],
 ) -> list[Finding]:  # fmt: skip
     found: list[Finding] = []
+    own = {name: (f.s[0], f.share) for name, f in zip(outputs, factors, strict=True)}
     for a, b, kappa in derivative_pairs(model):
         if a not in outputs or b not in outputs:
             continue
         slope, share = derivative_slope(record[a], kappa * record[b], record.dt, good)
         if share < SLOPE_FIT or SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
             continue
-        evidence: dict[str, object] = {"test": f"{a} against the integral of {b}", "slope": slope, "r2": share}
-        own = [factors[outputs.index(n)] for n in (a, b)]
-        (s_a, sure_a), (s_b, sure_b) = ((f.s[0], f.share) for f in own)
+        test, (s_a, sure_a), (s_b, sure_b) = f"{a} against the integral of {b}", *(own[n] for n in (a, b))
+        because = f"{test}: slope {slope:.3g} instead of 1, R² {share:.3g}"
+        evidence: dict[str, object] = {"test": test, "slope": slope, "r2": share}
         if slope < 0:  # the one that moves against the model's response; both if the record does not determine it
             known = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
             wrong = (a, b) if not known else (a,) if s_a < 0 else (b,)
-            found.append(_finding("sign", wrong, -1.0, "", evidence, units))
+            found += _contradiction(wrong, -1.0, because, evidence, units)
         size = abs(slope)
         if SLOPE_RANGE[0] <= size <= SLOPE_RANGE[1]:
             continue
-        near = [(abs(math.log(size / f)), a, f, name) for f, name in unit_factors(units[a]).items()]
-        near += [(abs(math.log(size * f)), b, f, name) for f, name in unit_factors(units[b]).items()]
-        best: dict[str, tuple[float, str]] = {}
-        for distance, name, f, unit in sorted(near):
+        near = [(abs(math.log(size / f)), a, f) for f in unit_factors(units[a])]
+        near += [(abs(math.log(size * f)), b, f) for f in unit_factors(units[b])]
+        best: dict[str, float] = {}
+        for distance, name, f in sorted(near):
             if distance < math.log(SLOPE_MATCH):
-                best.setdefault(name, (f, unit))
+                best.setdefault(name, f)
         if len(best) == 2 and min(sure_a, sure_b) >= 0.3 and s_a and s_b:
             best.pop(b if abs(math.log(abs(s_a))) > abs(math.log(abs(s_b))) else a)
         if best:
-            factor, unit = next(iter(best.values()))
-            found.append(_finding("unit", tuple(best), factor, unit if len(best) == 1 else "", evidence, units))
+            found += _contradiction(tuple(best), next(iter(best.values())), because, evidence, units)
     return found
 
 
@@ -239,50 +239,32 @@ def _from_responses(
         wrong = np.flatnonzero(np.isfinite(sure[:, i]) & (sure[:, i] != 1.0))
         own = likely[:, i][np.isfinite(likely[:, i])]
         if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
-            figures = factors[free[wrong[0]]].evidence(i)
-            found += _sign_or_unit((name,), 1.0 / sure[wrong[0], i], figures, units)
+            found += _contradiction((name,), 1.0 / sure[wrong[0], i], *factors[free[wrong[0]]].evidence(i), units)
     if found:
         return found
     for row, j in zip(sure, free, strict=True):
         wrong = np.flatnonzero(np.isfinite(row) & (row != 1.0))
         if len(wrong) and np.allclose(row[np.isfinite(row)], row[wrong[0]]):
             channels = (outputs[j], *model.input_names) if np.isfinite(likely).sum() == 1 else (outputs[j],)
-            figures = factors[j].evidence(int(wrong[0]))
-            found += _sign_or_unit(channels, row[wrong[0]], figures, units)
+            found += _contradiction(channels, row[wrong[0]], *factors[j].evidence(int(wrong[0])), units)
     return found
 
 
-def _sign_or_unit(
-    channels: tuple[str, ...], factor: float, evidence: dict[str, object], units: dict[str, str]
+def _contradiction(
+    channels: tuple[str, ...], factor: float, because: str, evidence: dict[str, object], units: dict[str, str]
 ) -> list[Finding]:
-    """Interpret a factor as a wrong sign, a wrong unit, or both."""
-    found = [_finding("sign", channels, -1.0, "", evidence, units)] if factor < 0 else []
-    size = abs(factor)
+    """Interpret recorded over expected values of a channel, or of one of several, as a wrong sign, unit, or both."""
+    found = [turned_sign(channels, because, {**evidence, "factor": -1.0, "unit": ""})] if factor < 0 else []
+    first, size = channels[0], abs(float(factor))
     if not math.isclose(size, 1.0):
-        known = unit_factors(units[channels[0]]).items()
+        known = unit_factors(units[first]).items() if len(channels) == 1 else ()
         unit = next((name for f, name in known if abs(math.log(f / size)) < 1e-6), "")
-        found.append(_finding("unit", channels, float(size), unit, evidence, units))
+        expected, either = units[first] or "the model's unit", " or ".join(channels)
+        text = f"{either} seems to be recorded in {unit or 'another unit'}: its values are about {size:.4g} times "
+        text, hint = f"{text}those in {expected} ({because})", f"if it is so, divide {first} by {size:.6g}"
+        own = {**evidence, "factor": size, "unit": unit}
+        found.append(Finding("unit", ", ".join(channels), text, expected, hint, True, own))
     return found
-
-
-def _finding(
-    kind: str, channels: tuple[str, ...], factor: float, unit: str, evidence: dict[str, object], units: dict[str, str]
-) -> Finding:
-    """State that a channel contradicts the model, or one of several; ``factor``: recorded values over expected ones."""
-    first, e = channels[0], {**evidence, "factor": factor, "unit": unit}
-    if "slope" in e:
-        because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
-    else:
-        because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
-    if kind == "sign":
-        return turned_sign(channels, because, e)
-    expected, as_if = units[first] or "the model's unit", f"seems to be recorded in {unit or 'another unit'}"
-    values = f"its values are about {factor:.4g} times those in {expected}"
-    text, hint = (
-        f"{' or '.join(channels)} {as_if}: {values} ({because})",
-        f"if it is so, divide {first} by {factor:.6g}",
-    )
-    return Finding(kind, ", ".join(channels), text, expected, hint, True, e)
 
 
 def turned_sign(channels: tuple[str, ...], because: str, evidence: dict[str, object]) -> Finding:
@@ -302,8 +284,10 @@ class Factors(NamedTuple):
     raw: Array  # signs of the raw responses, 0 if undetermined, (n_u,)
     window: float
 
-    def evidence(self, i: int) -> dict[str, object]:
-        return {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
+    def evidence(self, i: int) -> tuple[str, dict[str, object]]:
+        """Return the text and the figures of the factor of input i."""
+        data = {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
+        return f"its response is {self.s[i]:.3g} times the model's, R² {self.share:.3g}", data
 
 
 def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:

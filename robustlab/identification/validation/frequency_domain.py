@@ -133,20 +133,17 @@ class SpectralProblem:
     """The affine maps of this module, in scaled signals."""
 
     omega: Array  # frequencies in rad/s, shape (n,)
-    # M11, M21, z0, e: (n, p, q), (n, n_y, q), (n, p), (n, n_y)
-    M11: ComplexArray
-    M21: ComplexArray
-    z0: ComplexArray
-    e: ComplexArray
-    # weight of a line in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
-    weight: Array
+    M11: ComplexArray  # (n, p, q)
+    M21: ComplexArray  # (n, n_y, q)
+    z0: ComplexArray  # (n, p)
+    e: ComplexArray  # (n, n_y)
+    weight: Array  # of a line in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
     real: NDArray[np.bool_]  # lines at which every spectrum of a real signal is real (n,)
     total: bool  # true: ``sum_k weight_k |n_kj|^2 <= radius_j^2`` for each output. False: ``|n_kj| <= 1`` at each line.
     radius: Array  # (n_y,)
-    # blocks, names, scale: slices of w and z of each block, names, and the divisor of w and z of the block
-    blocks: tuple[tuple[slice, slice], ...]
+    blocks: tuple[tuple[slice, slice], ...]  # slices of w and z of each
     names: tuple[str, ...]
-    scale: Array
+    scale: Array  # divisor of w and z of each
 
     @property
     def n(self) -> int:
@@ -217,14 +214,22 @@ class Spectrum:
     problem: SpectralProblem
     outputs: tuple[Signal, ...]  # compared outputs with units
     bound: Mapping[str, float]  # noise bound of each
-    # t, y, nominal: one mean period of the record, its outputs (n_t, n_y), and the nominal steady state; for a
-    # frequency response its frequencies and the magnitudes
-    t: Array
-    y: Array
-    nominal: Array
-    complex_y: ComplexArray  # the measured spectrum (n, n_y), in the units of the outputs
-    unit_noise: Array  # divisor of ``e``, shape (n, n_y) or (1, n_y)
+    t: Array  # one mean period of the record, (n_t,), or the frequencies of a response
+    y: Array  # its outputs, (n_t, n_y), or the magnitudes
+    forced: ComplexArray  # nominal spectrum of the outputs, (n, n_y)
+    unit_noise: Array  # divisor of ``e``, (n, n_y) or (1, n_y)
     assumptions: tuple[str, ...]
+    offset: Any = 0.0  # mean of the outputs of a model that integrates, (n_y,)
+
+    def simulated(self, w: ComplexArray) -> Array:
+        """Compute the outputs with w: a period, or magnitudes."""
+        lines = self.forced + np.einsum("kij,kj->ki", self.problem.M21, w) * self.unit_noise
+        if not self.problem.total:
+            return np.abs(lines)
+        n = len(self.t)
+        whole = np.zeros((n // 2 + 1, lines.shape[1]), dtype=complex)
+        whole[len(whole) - len(lines) :] = lines * n  # all, or all but the mean
+        return np.asarray(np.fft.irfft(whole, n, axis=0), dtype=np.float64) + self.offset
 
 
 def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike]) -> Spectrum:
@@ -260,7 +265,7 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
     ]
     if M.dt == 0:
         assumptions.append(f"u and w are held between samples of {dt:.6g} s")
-    poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
+    poles = np.linalg.eigvals(M.A)
     rounding = 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)
     integrates = bool((np.abs(poles - (1.0 if M.dt else 0.0)) <= rounding).any())
     if integrates:
@@ -275,17 +280,10 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
         uncertain, 2 * np.pi * f, response, forced, Y, recorded.bound[None],
         weight=np.where(edge, 1.0, 2.0)[kept], real=edge[kept], total=True, radius=np.sqrt(1 - changing),
     )  # fmt: skip
-    nominal = _period(forced[:, p:], n) + (y.mean(axis=0) if integrates else 0.0)
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
-    t, unit = np.arange(n, dtype=np.float64) * dt, recorded.bound[None]
-    return Spectrum(problem, recorded.outputs, bound, t, y, nominal, Y, unit, tuple(assumptions))
-
-
-def _period(lines: ComplexArray, n: int) -> Array:
-    """Return the period of n samples with these lines (all, or all but the mean)."""
-    whole = np.zeros((n // 2 + 1, lines.shape[1]), dtype=complex)
-    whole[len(whole) - len(lines) :] = lines * n
-    return np.asarray(np.fft.irfft(whole, n, axis=0), dtype=np.float64)
+    t, offset = np.arange(n, dtype=np.float64) * dt, y.mean(axis=0) if integrates else 0.0
+    unit = recorded.bound[None]
+    return Spectrum(problem, recorded.outputs, bound, t, y, forced[:, p:], unit, tuple(assumptions), offset)
 
 
 def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: Mapping[str, ArrayLike]) -> Spectrum:
@@ -315,8 +313,8 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
     )  # fmt: skip
     assumptions = ("at each frequency the noise of an output is within its bound",)
     largest = {name: float(bound[:, j].max()) for j, name in enumerate(data.outputs)}
-    sizes = np.abs(data.response), np.abs(forced[:, p:])
-    return Spectrum(problem, chosen.outputs, largest, data.omega, *sizes, data.response, bound, assumptions)
+    y = np.abs(data.response)
+    return Spectrum(problem, chosen.outputs, largest, data.omega, y, forced[:, p:], bound, assumptions)
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
@@ -362,7 +360,7 @@ def validate_by_lines(
     explained, error, sizes = np.full(spectrum.y.shape, np.nan), 0.0, np.full((problem.n, len(problem.blocks)), np.nan)
     if np.isfinite(found.upper):
         error = require_replay(_replay_error(problem, found.w), data.name)
-        explained, sizes = _explained(spectrum, found.w), problem.sizes(found.w)
+        explained, sizes = spectrum.simulated(found.w), problem.sizes(found.w)
     largest = zip(problem.names, sizes.max(axis=0).tolist(), strict=True)
     return concluded(
         found,
@@ -376,7 +374,7 @@ def validate_by_lines(
         assumptions=(*spectrum.assumptions, "complex and full blocks are causal stable time-invariant systems"),
         t=spectrum.t,
         measured=spectrum.y,
-        nominal=spectrum.nominal,
+        nominal=spectrum.simulated(np.zeros_like(found.w)),
         explained=explained,
         domain="frequency",
         omega=problem.omega,
@@ -386,30 +384,22 @@ def validate_by_lines(
 
 def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
     """Close the loop at each line with ``Delta = w z' / |z|^2`` and compare it with the explanation, over the bound."""
-    n, q, p = problem.n, w.shape[1], problem.z0.shape[1]
     z = problem.z(w)
-    delta = np.zeros((n, q, p), dtype=complex)
+    delta = np.zeros((*w.shape, z.shape[1]), dtype=complex)
     for rows, cols in problem.blocks:
         energy = (np.abs(z[:, cols]) ** 2).sum(axis=1)
         back = z[:, cols].conj() / np.where(energy > 0, energy, 1.0)[:, None]
         delta[:, rows, cols] = w[:, rows, None] * back[:, None, :]
     try:
-        closed = np.linalg.solve(np.eye(q) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None])
+        closed = np.linalg.solve(
+            np.eye(w.shape[1]) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None]
+        )
     except np.linalg.LinAlgError:  # an ill-posed loop is no explanation
         return np.inf
     difference = np.einsum("kij,kj->ki", problem.M21, closed[..., 0] - w)
     if problem.total:
         return float(np.sqrt((problem.weight @ np.abs(difference) ** 2).max(initial=0.0)))
     return float(np.abs(difference).max(initial=0.0))
-
-
-def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
-    """Compute the outputs of the explanation: a period, or magnitudes."""
-    problem = spectrum.problem
-    moved = np.einsum("kij,kj->ki", problem.M21, w) * spectrum.unit_noise
-    if not problem.total:
-        return np.abs(spectrum.complex_y - problem.e * spectrum.unit_noise + moved)
-    return spectrum.nominal + _period(moved, len(spectrum.t))
 
 
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
@@ -480,9 +470,8 @@ def line_lagrangian(problem: SpectralProblem, multipliers: Multipliers, gamma: f
 
     +inf if L is not bounded above. A negative value is a proof.
     """
-    n, p = problem.z0.shape
     q = problem.M21.shape[2]
-    to_z, to_w = np.zeros((n, p)), np.zeros((n, q))
+    to_z, to_w = np.zeros(problem.z0.shape), np.zeros((problem.n, q))
     for i, (rows, cols) in enumerate(problem.blocks):
         to_z[:, cols] = (gamma**2 * multipliers.D[:, i])[:, None]
         to_w[:, rows] = multipliers.D[:, i][:, None]

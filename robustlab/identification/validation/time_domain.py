@@ -129,12 +129,12 @@ def _dynamic(recorded: Recorded, search: Search) -> Found:
 def _block(block: Block, found: Found, sizes: Mapping[str, float]) -> BlockSize:
     if not block.interval:
         return BlockSize(block.name, "time-varying", sizes.get(block.name, np.nan))
-    value = found.values.get(block.name)
-    if value is None or block.parameter is None:
-        return BlockSize(block.name, "constant", np.nan if value is None else abs(value), value)
-    size = block.parameter.value(value)
-    physical, impossible = (size, block.parameter.unit), block.parameter.impossible(size)
-    return BlockSize(block.name, "constant", abs(value), value, physical, impossible)
+    value, parameter = found.values.get(block.name), block.parameter
+    size = np.nan if value is None else abs(value)
+    if value is None or parameter is None:
+        return BlockSize(block.name, "constant", size, value)
+    physical = parameter.value(value)
+    return BlockSize(block.name, "constant", size, value, (physical, parameter.unit), parameter.impossible(physical))
 
 
 def _replay_error(recorded: Recorded, found: Found) -> float:
@@ -283,13 +283,10 @@ def _move(at: _Member, slope: Array, search: Search, radius: float) -> tuple[Arr
     every = sparse.identity(width, format="csr")
     change, size, over = every[:m], every[m : m + 1], every[m + 1 : m + 2]
     ones = sparse.csr_matrix(np.ones((m, 1)))
-    aim, rows = 1 - MARGIN, []
-    spare = sparse.csr_matrix(np.ones((2 * n, 1))) @ over
-    e = problem.e.ravel()
-    rows.append(Rows(sparse.vstack([noise, -noise]) - spare, aim + np.concatenate([-e, e]), "positive"))
-    held = np.zeros(2 * m) + radius
-    sized = np.concatenate([-at.delta, at.delta])
-    rows += [
+    spare, e = sparse.csr_matrix(np.ones((2 * n, 1))) @ over, problem.e.ravel()
+    held, sized = np.full(2 * m, radius), np.concatenate([-at.delta, at.delta])
+    rows = [
+        Rows(sparse.vstack([noise, -noise]) - spare, 1 - MARGIN + np.concatenate([-e, e]), "positive"),
         Rows(sparse.vstack([change, -change]), held, "positive") if radius else Rows(change, np.zeros(m), "zero"),
         Rows(sparse.vstack([change - ones @ size, -change - ones @ size]), sized, "positive"),
         Rows(-over, np.zeros(1), "positive"),

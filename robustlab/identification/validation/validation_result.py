@@ -163,7 +163,7 @@ def concluded(found: Found, search: Search, outputs: Sequence[Signal], **own: An
         outputs=tuple((s.name, s.unit) for s in outputs),
         w=w,
         z=z,
-        multipliers={} if found.multipliers is None else found.multipliers.arrays(),
+        multipliers={} if (by := found.multipliers) is None else {"energy": by.D, "noise": by.noise},
         notes=(remark,) if remark else (),
         **own,
     )
