@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.campaign.evaluation import Evaluator
+from robustlab.campaign.evaluation import DONE, Evaluator
 from robustlab.campaign.store import Store
 from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
@@ -60,7 +60,8 @@ class LostSample(AllFields):
 
 def _quantiles(store: Store, sense: int, lost: int) -> tuple[Quantile, ...]:
     """Return the quantiles that the number of samples allows; lost samples count as worst."""
-    scores = np.append(sense * np.fromiter(store.values(), dtype=float), np.full(lost, np.inf))
+    values = np.fromiter((row.value for row in store.samples("WHERE status = ?", DONE)), dtype=float)
+    scores = np.append(sense * values, np.full(lost, np.inf))
     # Where fewer than one sample is expected above a share, the worst sample has the same information.
     shares = [share for share in SHARES if len(scores) * (1.0 - share) >= 1.0 or share <= 0.5]
     found = [quantile_bounds(scores, share, TWO_SIDED) for share in shares]

@@ -156,8 +156,7 @@ def _note_end(store: Store, evaluator: Evaluator) -> None:
 
 
 def _evaluator(store: Store) -> Evaluator:
-    identity = store.identity
-    uncertain = model_from_bytes(store.get("model"), store.where)
+    identity, uncertain = store.identity, model_from_bytes(store.get("model"), store.where)
     if Identity.of(uncertain, identity.settings).model != identity.model:
         raise InputError(store.where, "damaged campaign store: its model does not match its hash")
     return Evaluator(uncertain, identity.settings)
@@ -213,9 +212,9 @@ def _ctrl_c_ignored() -> Iterator[None]:
 
 def _end_with_parent() -> None:
     """Make a worker process end with its parent."""
-    parent: Any = multiprocessing.parent_process()
 
     def wait() -> None:
+        parent: Any = multiprocessing.parent_process()
         parent.join()
         os._exit(0)
 

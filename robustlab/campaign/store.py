@@ -84,11 +84,8 @@ class Store:
         identity = Identity.of(uncertain, settings)
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
-            store = cls(path, db)
-            db.execute("BEGIN IMMEDIATE")
-            db.execute(f"PRAGMA application_id={APPLICATION_ID}")
-            db.execute(f"PRAGMA user_version={FORMAT_VERSION}")
-            for statement in _TABLES:
+            store, numbers = cls(path, db), (f"application_id={APPLICATION_ID}", f"user_version={FORMAT_VERSION}")
+            for statement in ("BEGIN IMMEDIATE", *(f"PRAGMA {number}" for number in numbers), *_TABLES):
                 db.execute(statement)
             store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
             store.put("hash", identity.hash)
@@ -207,11 +204,6 @@ class Store:
         worse = None if limit is None else sense * limit
         unbounded, beyond, seconds = next(self._asked(question, np.inf, sense, worse))
         return int(unbounded), int(beyond), seconds
-
-    def values(self) -> Iterator[float]:
-        """Stream the values."""
-        for (value,) in self._asked("SELECT value FROM sample WHERE status = ?", DONE):
-            yield value
 
     def digest(self) -> str:
         """Return SHA-256 over index, status, value, Delta and reason of all rows by index."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedEquations
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
+from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.resampling import clock_step, uniform
@@ -66,7 +67,7 @@ class WatchedPiece(Evidence):
 
     start: float  # its time in the log, s
     stop: float
-    evidence: float  # log of E after it; the alarm threshold is ``-log(false_alarm)``
+    evidence: float  # log of E after it; an alarm from ``-log(false_alarm)`` on
     misfit: float  # root mean square of its errors with the learned model, over the noise
 
 
@@ -99,13 +100,11 @@ class Watch(Tabular, Evidence):
         "verdict": str,
         "met": bool,
         **dict.fromkeys(("alarm", "since", "since_lower", "since_upper", "window"), "s"),
-        "evidence": "1",
-        "tested": "1",
+        **dict.fromkeys(("evidence", "tested"), "1"),
     }
 
     @property
     def met(self) -> bool:
-        """Whether the model explains the log from beginning to end."""
         return self.verdict == "explained"
 
     @property
@@ -135,7 +134,6 @@ class Watch(Tabular, Evidence):
         ]
 
     def table(self) -> Table:
-        """Return a row for each piece."""
         columns = {name: [getattr(p, name) for p in self.pieces] for name in ("stop", "evidence", "misfit")}
         return Table(("start", [p.start for p in self.pieces]), columns)
 
@@ -170,7 +168,7 @@ def watch(
     Parameters
     ----------
     model
-        A plant, a plant with effects (what `discover` updated), or a continuous model as `discover` takes it.
+        A plant, also with effects (what `discover` updated), or a continuous model as `discover` takes it.
     records
         The log in pieces, in their order, or one record; an iterator yields the next piece after the last one has
         been evaluated. All have the sample time and the outputs of the first.
@@ -206,12 +204,9 @@ def watch(
         checks.number("watch: every", every, "a length in s above 0", above=0.0)
     extended = isinstance(model, ExtendedEquations)
     plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
-    left_out = tuple(effect(name).id for name in exclude)
-    given = [records] if isinstance(records, Record) else records
-    watched: _Watched | None = None
-    alarm, highest = -np.log(false_alarm), -np.inf
-    onsets: Array | None = None  # evidence of each onset once an alarm is clear
-    for piece in _pieces(given, every):
+    left_out, watched = tuple(effect(name).id for name in exclude), None
+    alarm, highest, onsets = -np.log(false_alarm), -np.inf, None  # evidence of each onset once an alarm is clear
+    for piece in _pieces([records] if isinstance(records, Record) else records, every):
         watched = watched or _Watched(plant, attached, noise, piece)
         evidence = watched.add(piece)
         if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
@@ -223,28 +218,24 @@ def watch(
         hint = "one record is cut into pieces by every=SECONDS"
         raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
-    changed, onset_pieces, found = onsets is not None, (0, 0, 0), None
+    since, found = [np.nan] * 3, None
     if onsets is not None:
         began, lower, upper = onset(onsets)
         # A change may begin too late within a piece to be visible there.
-        onset_pieces = began, max(lower - 1, 0), upper
+        since = [pieces[k].start for k in (began, max(lower - 1, 0), upper)]
         with suppress(InputError, NoTrustworthyNumber):  # too poor
             last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
             found = discover(plant, last, exclude=left_out)
-    times = [pieces[k].start if changed else np.nan for k in onset_pieces]
     return Watch(
-        Status.CONVERGED if changed or used >= 0.5 else Status.INCONCLUSIVE, "changed" if changed else "explained",
-        false_alarm, next((p.stop for p in pieces if p.evidence >= alarm), np.nan), *times, found, pieces,
+        Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED,
+        "explained" if onsets is None else "changed", false_alarm,
+        next((p.stop for p in pieces if p.evidence >= alarm), np.nan), *since, found, pieces,
         watched.sizes, plant.name, watched.length * watched.dt, used,
     )  # fmt: skip
 
 
 def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
-    """Yield the pieces on the time base of the log.
-
-    A remainder of less than half a piece joins the last one of its record; a record that does not begin after the end
-    of the last is appended to it.
-    """
+    """Yield the pieces on the time base of the log; records that do not begin after the last one are appended to it."""
     end: float | None = None
     for record in records:
         if not isinstance(record, Record):
@@ -252,13 +243,14 @@ def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
         if end is not None and record.t[0] <= end:
             record = replace(record, t=record.t - record.t[0] + end + record.dt)
         end = float(record.t[-1])
+        # A remainder of less than half a piece joins the last one.
         count = 1 if every is None else max(1, round(record.duration / every))
         if every is None or count == 1:
             yield record
-            continue
-        edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
-        for k in range(count):
-            yield replace(record.between(edges[k], edges[k + 1]), name=f"{record.name}, piece {k + 1}")
+        else:
+            edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
+            for k, (start, stop) in enumerate(pairwise(edges), 1):
+                yield replace(record.between(start, stop), name=f"{record.name}, piece {k}")
 
 
 class _Watched:
@@ -273,11 +265,17 @@ class _Watched:
         if first.n < least:
             raise InputError(f"watch {first.name}", f"{first.n} samples", f"at least {least} in a piece")
         record, _ = self._uniform(first)
-        self.model: PortModel = ports_of(plant, record)
+        self.model = ports_of(plant, record)
         self.length = window_length(plant, [record], self.model)
         prepared = self._prepared(first)
         self.thin = prepared.thin
-        self.sizes = _noise_of([plant.outputs[k].name for k in prepared.columns], noise)
+        names = [plant.outputs[k].name for k in prepared.columns]
+        for name in (*noise, *names):
+            checks.choice("watch: noise", name, names)
+            if name not in noise:
+                raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
+        expected = "a standard deviation above 0"
+        self.sizes = {n: checks.number(f"watch: noise of {n}", noise[n], expected, above=0.0) for n in names}
         self.noise = NoiseModel(np.array([*self.sizes.values()]) / np.sqrt(self.thin), np.zeros((0, len(self.sizes))))
         nuisances = nuisance_parameters(plant, stated_tolerances(plant, None))
         nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
@@ -294,8 +292,7 @@ class _Watched:
         # A usual change of each standardised parameter: a log factor of one if it scales; 0 for clocks.
         usual = [0.0 if n.input else 1.0 if n.additive else 1.0 / n.spread for n in self.problem.nuisances]
         own = [p.prior for c in self.hypothesis.candidates for p in c.parameters]
-        usual += [1.0 / prior.spread if prior.kind == "log" else 1.0 for prior in own]
-        self.test = ChangeTest(np.array(usual))
+        self.test = ChangeTest(np.array([*usual, *(1.0 / p.spread if p.kind == "log" else 1.0 for p in own)]))
         self.records, self.pieces = list[Record](), list[WatchedPiece]()
         self.windows = [0, 0]  # used by the test, and all
 
@@ -324,16 +321,6 @@ class _Watched:
         return prepare(self.plant, self.model, record, self.length, valid, self.outputs)
 
 
-def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, float]:
-    """Return the stated noise of each recorded output."""
-    for name in stated:
-        checks.choice("watch: noise", name, names)
-    if missing := [name for name in names if name not in stated]:
-        raise InputError("watch: noise", f"none of {missing[0]!r}", "one for each recorded output")
-    expected = "a standard deviation above 0"
-    return {n: checks.number(f"watch: noise of {n}", stated[n], expected, above=0.0) for n in names}
-
-
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
     """Make an effect of the model a candidate to be refitted, with priors about its present values."""
     known = next((c for c in pool if (c.effect, c.site) == (there.effect, there.site)), None)
@@ -353,8 +340,8 @@ def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
     """Return a piece's equations about its fit, and the number of windows used.
 
-    Excluded: windows in which the even part of the parameter steps ``spread`` (k, m), or halved time steps, change the
-    residuals, with free initial states, by more than `MOST_BENT` (a contact about to break away).
+    Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
+    residuals by more than `MOST_BENT` (a contact about to break away).
     """
 
     def residual(z: Array, problem: Problem = problem) -> Array:
@@ -363,7 +350,7 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
     here = residual(fit.z)
     ((over_z, over_x),) = problem.derivatives(fit)
     free = np.linalg.qr(over_x)[0]  # response to the initial states
-    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    halved = problem.under(replace(problem.clock, sub=2 * STEPS))
     steps = [residual(fit.z, halved), *(0.5 * (residual(fit.z + step) + residual(fit.z - step)) for step in spread.T)]
     changes = np.stack([step - here for step in steps], axis=2)
     changes -= free @ (np.swapaxes(free, 1, 2) @ changes)
@@ -403,7 +390,6 @@ class ChangeTest:
     pieces: list[PieceEquations] = field(default_factory=list)
 
     def add(self, piece: PieceEquations) -> float:
-        """Return log E after one more piece."""
         self.pieces.append(piece)
         return float(np.logaddexp(np.logaddexp.reduce(self.evidence()), -np.log(len(self.pieces) + 1.0)))
 
@@ -421,40 +407,34 @@ class ChangeTest:
 
     def _strengths(self) -> Array:
         """Compute the log ratio of an abrupt or growing change of each parameter, (n_tau, 2, k)."""
-        k, whole = len(self.size), np.stack([p.whole for p in self.pieces])
-        once = _since(whole)  # sums over the pieces since each one, next weighted with 1, 2, ..., then 1, 3, 6, ...
-        growing = _since(once)
+        k = len(self.size)
+        once = _since(np.stack([p.whole for p in self.pieces]))  # sums over the pieces since each one
+        growing = _since(once)  # the same weighted with 1, 2, ...
         squares = np.diagonal(np.stack([once, 2.0 * _since(growing) - growing], axis=1), axis1=2, axis2=3)[..., :k]
         rows = np.stack([once, growing], axis=1)[:, :, :k]  # (n_tau, 2, k, k + 1)
         inverse = np.linalg.inv(once[0, :k, :k] + DIFFUSE * np.eye(k))
         cross = rows[..., :k]
-        lost = ((cross @ inverse) * cross).sum(axis=-1)
-        a = np.maximum(squares - lost, 0.0) + NEGLIGIBLE * squares
+        a = np.maximum(squares - ((cross @ inverse) * cross).sum(axis=-1), 0.0) + NEGLIGIBLE * squares
         b = rows[..., k] - cross @ (inverse @ once[0, :k, k])
-        found = []
-        for size in SIZES:
-            variance = (size * self.size / np.array([[1.0], [GROWING]])) ** 2
-            found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
-        return _log_mean(found)
+        variances = [(size * self.size / np.array([[1.0], [GROWING]])) ** 2 for size in SIZES]
+        return _log_mean([0.5 * b**2 * v / (1.0 + a * v) - 0.5 * np.log1p(a * v) for v in variances])
 
     def _scatter(self, parts: Array, points: Array, variance: float) -> Array:
         """Compute the log ratio, (n_tau,), of random errors with this variance in the directions of the parts."""
         k, whole = len(self.size), np.sum([p.whole for p in self.pieces], axis=0)
-        part, number = _since(parts), _since(points)
-        before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * part, k)
-        return -0.5 * (after[0] - before[0] + after[1] - before[1] + number * np.log1p(variance))
+        before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * _since(parts), k)
+        return -0.5 * (after - before + _since(points) * np.log1p(variance))
 
 
 def onset(evidence: Array) -> tuple[int, int, int]:
     """Return the piece at which the change most probably began, and the ends of its 95 % interval."""
     share = np.exp(evidence - np.logaddexp.reduce(evidence))
     below = np.cumsum(share)
-    lower, upper = (min(int(np.searchsorted(below, q)), len(below) - 1) for q in (0.025, 0.975))
+    lower, upper = np.minimum(np.searchsorted(below, (0.025, 0.975)), len(below) - 1).tolist()
     return int(np.argmax(share)), lower, upper
 
 
 def _since(values: Array) -> Array:
-    """Sum from each entry of the first axis to its end."""
     return np.cumsum(values[::-1], axis=0)[::-1]
 
 
@@ -463,9 +443,8 @@ def _log_mean(logs: Sequence[Array]) -> Array:
     return np.logaddexp.reduce(np.array(logs)) - np.log(len(logs))
 
 
-def _profile(sums: Array, k: int) -> tuple[Array, Array]:
-    """Minimise the cost over k parameters; also the log determinant of their information; ``sums`` (..., k+1, k+1)."""
-    information = sums[..., :k, :k] + DIFFUSE * np.eye(k)
-    right = sums[..., :k, k]
-    cost = sums[..., k, k] - (right * np.linalg.solve(information, right[..., None])[..., 0]).sum(axis=-1)
-    return cost, np.linalg.slogdet(information)[1]
+def _profile(sums: Array, k: int) -> Array:
+    """Return the least cost over k parameters plus the log determinant of their information; (..., k+1, k+1)."""
+    information, right = sums[..., :k, :k] + DIFFUSE * np.eye(k), sums[..., :k, k]
+    explained = (right * np.linalg.solve(information, right[..., None])[..., 0]).sum(axis=-1)
+    return sums[..., k, k] - explained + np.linalg.slogdet(information)[1]

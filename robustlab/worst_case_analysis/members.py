@@ -161,8 +161,8 @@ class Ensemble:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
-        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
+        matrices = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(*matrices, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, (k,); ``inf`` where ill-posed."""
@@ -211,8 +211,8 @@ class MemberSet:
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
-        dtype = float if all(b.is_real for b in self.blocks) else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        kind = float if all(b.is_real for b in self.blocks) else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), kind)
         for block, part, (rows, cols) in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])
         return delta
@@ -302,11 +302,10 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
     if n == 0:
         return np.where(ensemble.ill_posed, np.inf, _largest_singular_value(ensemble.D)), np.zeros(k)
     value, where = np.full(k, np.inf), np.full(k, np.nan)
-    stable = np.flatnonzero(ensemble.spectral_abscissa() < 0)
-    top = np.pi / ensemble.dt if ensemble.dt else np.inf
-    poles = np.linalg.eigvals(ensemble.A).astype(complex)
+    stable, top = np.flatnonzero(ensemble.spectral_abscissa() < 0), np.inf
+    poles: Any = np.linalg.eigvals(ensemble.A).astype(complex)
     if ensemble.dt:
-        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / ensemble.dt
+        poles, top = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / ensemble.dt, np.pi / ensemble.dt
     both_sides = np.iscomplexobj(ensemble.A)
     base = np.concatenate([[0.0], grid, -grid]) if both_sides else np.append(0.0, grid)
     for piece in chunks(len(stable), (len(base) + 2 * n) * n * max(n, n_u)):
@@ -314,17 +313,16 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         own = np.hstack([np.imag(poles[index]), np.abs(poles[index])])
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])
         omega = np.sort(np.clip(omega, -top, top), axis=1)
-        gain = _gains(ensemble, index, omega)
+        gain, rows = _gains(ensemble, index, omega), np.arange(len(index))
         for _ in range(ZOOM_ROUNDS):
             best = gain.argmax(axis=1)
-            rows = np.arange(len(index))
             low = omega[rows, np.maximum(best - 1, 0)]
             high = omega[rows, np.minimum(best + 1, omega.shape[1] - 1)]
             finer = np.linspace(low, high, ZOOM_POINTS + 2, axis=1)
             omega = np.sort(np.hstack([finer, omega[rows, best][:, None]]), axis=1)
             gain = _gains(ensemble, index, omega)
         best = gain.argmax(axis=1)
-        value[index], where[index] = gain[np.arange(len(index)), best], omega[np.arange(len(index)), best]
+        value[index], where[index] = gain[rows, best], omega[rows, best]
     direct = np.zeros(k) if ensemble.dt else _largest_singular_value(ensemble.D)
     at_infinity = direct > value
     return np.where(at_infinity, direct, value), np.where(at_infinity, np.inf, where)

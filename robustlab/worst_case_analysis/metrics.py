@@ -289,12 +289,10 @@ def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, ND
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
     """Return the times (k,) from which responses y stay within ``band`` of their final values; infinite where never."""
-    gap = y - final[:, None]
-    edge = band * np.abs(final)
+    gap, edge = y - final[:, None], band * np.abs(final)
     outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
     last = len(t) - 1 - outside[:, ::-1].argmax(axis=1)
-    rows = np.arange(len(y))
-    following = np.minimum(last + 1, len(t) - 1)
+    rows, following = np.arange(len(y)), np.minimum(last + 1, len(t) - 1)
     here, there = gap[rows, last], gap[rows, following]
     share = (np.abs(here) - edge) / (np.abs(here) - np.sign(here) * there)
     crossing = t[last] + share * (t[following] - t[last])
@@ -343,16 +341,15 @@ class TimeMetric(Metric):
             raise NoTrustworthyNumber("worst_case", found, expected, "use the metric peak")
 
     def _responses(self, ensemble: Ensemble) -> Array:
-        start = np.zeros(ensemble.A.shape[1])
-        return time_responses(ensemble, self.drive, start, self._hold)[:, :, 0]
+        return time_responses(ensemble, self.drive, np.zeros(ensemble.A.shape[1]), self._hold)[:, :, 0]
 
     def _finals(self, ensemble: Ensemble) -> Array:
         """Return the final values of all members (k,) if the measure needs them; infinite for unstable members."""
-        final = np.full(len(ensemble), np.inf)
+        final, u = np.full(len(ensemble), np.inf), self.drive.u[0]
         if self._measure.settled:
-            stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self.drive.u[0]
-            some = ensemble.part(np.flatnonzero(stable))
-            shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
+            stable = np.flatnonzero(ensemble.is_stable())
+            some = ensemble.part(stable)
+            shift = np.eye(some.A.shape[1]) if ensemble.dt else 0.0
             x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
             final[stable] = (some.C @ x)[:, 0, 0] + some.D[:, 0] @ u
         return final

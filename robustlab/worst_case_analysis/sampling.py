@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab import checks
-from robustlab.arrays import AnyArray, Array
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -103,18 +103,18 @@ class Samples(Tabular, Displayable):
             deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
         finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         return Responses(
-            drive.t,
-            drive.u,
-            y,
-            nominal,
-            np.where(np.isnan(lower), -np.inf, lower),
-            np.where(np.isnan(upper), np.inf, upper),
-            tuple(int(i) for i in np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0)),
-            self.deltas,
-            self.uncertain.inputs,
-            self.uncertain.outputs,
-            tuple(unstable),
-            Status.CONVERGED if finite else Status.INACCURATE,
+            t=drive.t,
+            u=drive.u,
+            y=y,
+            nominal=nominal,
+            lower=np.where(np.isnan(lower), -np.inf, lower),
+            upper=np.where(np.isnan(upper), np.inf, upper),
+            worst=tuple(np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0).tolist()),
+            deltas=self.deltas,
+            inputs=self.uncertain.inputs,
+            outputs=self.uncertain.outputs,
+            unstable=tuple(unstable),
+            status=Status.CONVERGED if finite else Status.INACCURATE,
         )
 
     def _of_plants(self, drive: Excitation, x0: ArrayLike | None, hold: Any) -> tuple[Array, Array, list[int]]:
@@ -137,8 +137,7 @@ class Samples(Tabular, Displayable):
         members = MemberSet(uncertain)
         for part in blocks_of(len(self), members.block):
             ensemble = members.members(self.deltas.numbers(part))
-            if ensemble.ill_posed.any():
-                index = part.start + int(np.argmax(ensemble.ill_posed))
+            for index in part.start + np.flatnonzero(ensemble.ill_posed):
                 found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}"
                 raise NoTrustworthyNumber("respond", found)
             unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
@@ -154,16 +153,15 @@ class Samples(Tabular, Displayable):
 
     def table(self) -> Table:
         """A row for each sample, parameters in their units where known; matrices as ``NAME[row,column]``."""
-        known = {b.name: b.parameter for b in self.deltas.blocks if b.parameter is not None}
-        rows = list(self.deltas)
-        columns: dict[str, AnyArray] = {}
+        rows, columns, units = list(self.deltas), dict[str, Any](), dict[str, str]()
         for block in self.deltas.blocks:
             entries = [f"{block.name}[{i + 1},{j + 1}]" for i, j in np.ndindex(block.value_shape)]
             drawn = np.array([row[block.name] for row in rows]).reshape(len(rows), -1)
             columns |= zip([block.name] if block.is_scalar else entries, drawn.T, strict=True)
-        values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
-        units = {name: p.unit for name, p in known.items()}
-        return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
+            if (parameter := block.parameter) is not None:
+                columns[block.name] = [parameter.value(float(np.real(v))) for v in columns[block.name]]
+                units[block.name] = parameter.unit
+        return Table(("sample", np.arange(len(rows))), columns, units)
 
     def to_json(self) -> dict[str, object]:
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}

@@ -111,8 +111,7 @@ def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Infl
 def _between_bins(x: Array, y: Array, bins: int) -> float:
     """Return omega squared of y in bins of x of equal count, an estimate of Var(E[y|x]) / Var(y)."""
     ordered = y[np.argsort(x, kind="stable")] - y.mean()
-    parts = np.array_split(ordered, bins)
-    total = float((ordered**2).sum())
+    parts, total = np.array_split(ordered, bins), float((ordered**2).sum())
     between = sum(len(part) * float(part.mean()) ** 2 for part in parts)
     within = (total - between) / (len(y) - bins)
     # Ignore the rounding of equal values.
@@ -324,35 +323,36 @@ def violation_probability(
     deltas = Deltas(uncertain.blocks, count, seed)
     values = values_at(judge, deltas)
     scores = judge.sense * values
-    violations = int((scores > judge.sense * value).sum())
-    worst = int(scores.argmax())
+    violations, worst = int((scores > judge.sense * value).sum()), int(scores.argmax())
     delta = dict(deltas[worst])
     again = judge.evaluate(delta)
-    low, high = clopper_pearson(violations, len(values), confidence)
-    at_most = float(binomtest(violations, len(values), alternative="less").proportion_ci(confidence, "exact").high)
-    real = judge.set.all_real and len(values) >= FEWEST_SAMPLES
+    low, high = clopper_pearson(violations, count, confidence)
+    at_most = float(binomtest(violations, count, alternative="less").proportion_ci(confidence, "exact").high)
+    real = judge.set.all_real and count >= FEWEST_SAMPLES
     return ViolationProbability(
-        name_of(metric),
-        judge.unit,
-        value,
-        judge.sense,
-        len(values),
-        violations,
-        int(np.isposinf(scores).sum()),
-        violations / len(values),
-        low,
-        high,
-        at_most,
-        confidence,
-        probability,
-        None if probability is None else at_most <= probability,
-        needed,
-        tuple(quantile_bounds(values, q, confidence) for q in quantiles),
-        again.value,
-        worst,
-        delta,
-        values,
-        influence_of(judge, deltas.numbers(slice(0, len(values))), values, worst) if real else None,
-        int(seed),
-        Status.CONVERGED if judge.agrees(float(values[worst]), again.value) and again.accurate else Status.INACCURATE,
+        metric=name_of(metric),
+        unit=judge.unit,
+        limit=value,
+        sense=judge.sense,
+        n=count,
+        violations=violations,
+        unbounded=int(np.isposinf(scores).sum()),
+        probability=violations / count,
+        lower=low,
+        upper=high,
+        at_most=at_most,
+        confidence=confidence,
+        wanted=probability,
+        shown=None if probability is None else at_most <= probability,
+        samples_needed=needed,
+        quantiles=tuple(quantile_bounds(values, q, confidence) for q in quantiles),
+        worst_value=again.value,
+        worst_index=worst,
+        worst_delta=delta,
+        values=values,
+        influence=influence_of(judge, deltas.numbers(slice(0, count)), values, worst) if real else None,
+        seed=seed,
+        status=Status.CONVERGED
+        if again.accurate and judge.agrees(float(values[worst]), again.value)
+        else Status.INACCURATE,
     )

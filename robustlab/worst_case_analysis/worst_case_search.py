@@ -59,8 +59,7 @@ class WorstCase(Displayable, AllFields):
     delta: Mapping[str, Any]  # block -> value
     metric: str
     nominal_value: float  # the metric at Delta = 0, by the same method as `value`
-    # CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
-    # budget ended the search, TIMEOUT where the time limit did
+    # INACCURATE: search and re-evaluation disagree or digits were lost. INCONCLUSIVE: the work budget ended the search.
     status: Status
     label: str  # meaning of the value, and the reason for an early end of the search
     evaluations: int  # members that were evaluated
@@ -69,8 +68,7 @@ class WorstCase(Displayable, AllFields):
     location: str  # quantity of `at`
     search_value: float  # value of the search at `delta`
     unit: str
-    # input, output: signals that the metric was restricted to; None for all
-    input: str | None
+    input: str | None  # signals that the metric was restricted to; None for all
     output: str | None
     spectral_abscissa: float  # of the member at `delta`, all states
     seed: int
@@ -79,9 +77,9 @@ class WorstCase(Displayable, AllFields):
     @property
     def percent(self) -> float | None:
         """Largest change of the response in percent of the largest nominal value; None without one, or if it is 0."""
-        found = self.response
-        size = 0.0 if found is None else float(np.abs(found.nominal).max())
-        return None if found is None or not size > 0 else 100 * float(np.abs(found.worst - found.nominal).max() / size)
+        if (found := self.response) is None or not found.nominal.any():
+            return None
+        return 100 * float(np.abs(found.worst - found.nominal).max() / np.abs(found.nominal).max())
 
     def headline(self) -> str:
         return f"worst {self.metric} found: {number(self.value, self.unit)}"
@@ -138,18 +136,17 @@ def worst_case(
     output, input
         Signals of the metric. A response needs an output if there are several; norms are of all signals by default.
     t, u, hold
-        Times and inputs for a response, as in `Samples.respond`. By default eight time constants of the nominal
-        model, and a unit step on ``input`` or on the only input.
+        As in `Samples.respond`; by default eight time constants of the nominal model, and a unit step on ``input``.
     band
         Share of the final value that counts as settled.
     n
         Sobol points, in addition to the centre and up to 1024 vertices.
     seed
-        Seed of the random numbers.
+        Of the random numbers.
     time_limit
-        Time limit in s. If it is reached, the status is TIMEOUT and the result depends on the machine.
+        In s. If it is reached, the status is TIMEOUT and the result depends on the machine.
     effort
-        Work of the search as a multiple of the usual (about a minute); counted, not timed. Most searches end earlier.
+        Work of the search as a multiple of the usual (about a minute); counted, not timed.
 
     Returns
     -------
@@ -272,8 +269,7 @@ class _Search:
 
     def _scores(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d); -inf beyond the budget."""
-        scores = np.full(len(theta), -np.inf)
-        m = self.metric.uncertain.M
+        scores, m = np.full(len(theta), -np.inf), self.metric.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and self.budget.over:
                 self.ended = True
@@ -314,16 +310,15 @@ class _Search:
             slope = np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
             return -score / sizes[0], -slope / sizes[0]
 
+        bounds = [(-1.0, 1.0)] * len(start)
         with suppress(_Ended):
-            bounds = [(-1.0, 1.0)] * len(start)
             minimize(falling, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
 
     def _compass(self, theta: Array, score: float, step: float) -> None:
         """Search along every coordinate, the projected slope, and all gains together, in smaller and smaller steps."""
         d = len(theta)
         while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
-            ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
-            behind = np.clip(theta - step * np.eye(d), -1.0, 1.0)
+            ahead, behind = (np.clip(theta + sign * step * np.eye(d), -1.0, 1.0) for sign in (1, -1))
             up, down = np.split(self._scores(np.vstack([ahead, behind])), 2)
             width = np.diag(ahead) - np.diag(behind)
             finite = np.isfinite(up) & np.isfinite(down)

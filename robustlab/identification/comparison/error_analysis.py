@@ -52,8 +52,7 @@ SHORTEST = 8  # samples to estimate the noise of a sensor
 class Motion(Evidence):
     """Measured speed and position along the record, against which errors are sorted."""
 
-    # speed, position: samples (n,), or None where the record has no such signal
-    speed: Array | None
+    speed: Array | None  # samples (n,), or None where the record has no such signal
     position: Array | None
     speed_unit: str
     position_unit: str
@@ -72,8 +71,7 @@ class Bin(Evidence):
     low: float
     high: float
     samples: int  # number of samples within
-    # mean, rms: mean and RMS of the error in units of the output (0 where there is no sample)
-    mean: float
+    mean: float  # of the error in units of the output; 0 where there is no sample
     rms: float
     share: float  # of the record's squared error, 0..1; the shares of all bins sum to 1
 
@@ -85,18 +83,16 @@ class Spectrum(Evidence):
     Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
     """
 
-    frequency: Array  # frequencies in Hz, shape (n_f,)
-    # measured, simulated, error: one-sided densities of the measured output, the free run, and its error in unit²/Hz,
-    # shape (n_f,). The windowed error has none: it restarts in every window, which sets its frequencies.
+    frequency: Array  # Hz, (n_f,)
+    # One-sided densities in unit²/Hz, (n_f,): measured output, free run, and its error. The windowed error has none: it
+    # restarts in every window, which sets its frequencies.
     measured: Array
     simulated: Array
     error: Array
-    # input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency
-    # that is linear in this input
-    coherence: Mapping[str, Array]
+    coherence: Mapping[str, Array]  # input -> share of the error at a frequency that is linear in it, (n_f,)
     coherence_level: float  # 99 % of the coherences of independent signals are below this
-    bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
-    error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
+    bands: Array  # edges of the bands in Hz, (n_bands + 1,)
+    error_share: Array  # share of the squared error per band, (n_bands,), sum 1
 
 
 def motion_of(record: Record, window: int) -> Motion:
@@ -148,8 +144,7 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
     """Compute the spectra of one output; see `Spectrum`."""
     from scipy.signal import coherence, welch
 
-    n, dt = len(t), float(t[-1] - t[0]) / (len(t) - 1)
-    grid = t[0] + dt * np.arange(n)
+    n, dt, grid = len(t), float(t[-1] - t[0]) / (len(t) - 1), np.linspace(t[0], t[-1], len(t))
     if np.abs(t - grid).max() > 1e-3 * dt:  # a nonuniform time base is interpolated to its mean step
         measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
         inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
@@ -162,10 +157,8 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
     densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
     f, (p_measured, p_simulated, p_error) = densities[0][0], (density for _, density in densities)
     with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 where a signal has no power: coherence 0
-        shared = {
-            name: np.nan_to_num(coherence(x, error, detrend="constant", **options)[1], posinf=0.0)
-            for name, x in inputs.items()
-        }
+        found = {name: coherence(x, error, detrend="constant", **options)[1] for name, x in inputs.items()}
+        shared = {name: np.nan_to_num(x, posinf=0.0) for name, x in found.items()}
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
     # Two bands a decade on round numbers (1, 3, 10, 30, ...).
     decades = 10.0 ** np.arange(np.floor(np.log10(f[1])) - 1, np.ceil(np.log10(f[-1])) + 1)
@@ -185,14 +178,13 @@ class OutputGap(Evidence):
     name: str
     unit: str
     range: float
-    # peak, ..., peak_time: of the free run, peak_time in s; NaN where it does not reach the end of the record
+    # of the free run, peak_time in s; NaN where it does not reach the end of the record
     peak: float
     rms: float
     peak_percent: float
     rms_percent: float
     fit: float
     peak_time: float
-    # windowed_*: of the windowed simulation
     windowed_peak: float
     windowed_rms: float
     windowed_peak_percent: float
@@ -211,8 +203,7 @@ class OutputGap(Evidence):
 class WindowErrors(Evidence):
     """Error of one output window by window; all arrays have shape (n_windows,)."""
 
-    # start, stop: first and last time of each window in s
-    start: Array
+    start: Array  # first and last time of each window in s
     stop: Array
     windowed_rms: Array
     worst: int  # index of the window with the largest windowed RMS
@@ -245,13 +236,11 @@ class Linearisation(Evidence):
     """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts."""
 
     windows: Array  # times in s at which the checked windows start
-    # output name -> RMS of nonlinear minus linear simulation over these windows, in its unit
-    difference: Mapping[str, float]
-    # output name -> the same over the RMS of the error in these windows: if far below 1, the error is due to the model,
-    # not to the linearisation
+    difference: Mapping[str, float]  # output -> RMS of nonlinear minus linear simulation over these, in its unit
+    # output -> the same over the RMS of the error there: if far below 1, the error is due to the model, not to the
+    # linearisation
     share: Mapping[str, float]
-    # start times of the windows whose nonlinear simulation does not reach their end; these are not counted
-    broken: Array
+    broken: Array  # start times of the windows whose nonlinear simulation does not reach their end; not counted
 
     def warnings(self) -> list[str]:
         """Return warnings about the accuracy of the windows."""
@@ -337,8 +326,7 @@ class Correlation(Evidence):
     lags: NDArray[np.int_]  # in samples; positive: the residual after the input
     correlation: Array  # at these lags; at negative ones it shows that the input was computed from the output
     band: float  # 99 % of the correlations are within ± this if the test's hypothesis is true
-    # statistic, dof, p_value: chi-square distributed if there are none, and the probability of a larger one
-    statistic: float
+    statistic: float  # chi-square distributed with dof if there are none; p_value: probability of a larger one
     dof: int
     p_value: float
     explained_share: float  # share of the residual's variance that is linear in its past or in the input, 0..1
@@ -425,8 +413,7 @@ class InputDisturbance(Evidence):
     speed: Array | None  # measured speed at each sample, (n,), or None without one
     speed_source: str
     rms: float
-    # mean, forward, backward: over all samples and over those that move in one direction (NaN without any), with
-    # standard errors
+    # over all samples and over those that move in one direction (NaN without any), with standard errors
     mean: float
     mean_std: float
     forward: float
@@ -489,13 +476,12 @@ def joint_disturbances(
 ) -> dict[str, InputDisturbance]:
     """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints.
 
-    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or a single one.
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input.
     """
     plant = response.plant
     units = {s.name: s.unit for s in plant.states}
     joints = [(_force_at(p.name, units[p.name]), p.unit) for p in plant.port_places if p.kind == "joint"]
     places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
-    motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
     left, before = _remaining(response, smoothed.d, error, edges), error * response.whole.weight
     names = [plant.outputs[k].name for k in response.columns]
     return {

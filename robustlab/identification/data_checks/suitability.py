@@ -134,22 +134,24 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
     """
     constant = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
     warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant]
-    for name in outputs:
-        if runs := _clipped(record, name):
-            where = f"(first: samples {runs[0][0]} to {runs[0][1] - 1})"
-            warnings.append(f"{name} looks clipped: {_at_the_end(record, runs)} {where}")
+    for f in _clipped(record, outputs):
+        runs: Any = f.evidence["runs"]
+        warnings.append(f"{f.channel} looks {f.found} (first: samples {runs[0][0]} to {runs[0][1] - 1})")
     return warnings
 
 
-def _clipped(record: Record, name: str) -> list[tuple[int, int]]:
-    """Return `clipped_runs` of a channel, or none if they are a negligible part of the record."""
-    runs = clipped_runs(record[name])
-    return runs if sum(last - first for first, last in runs) > CLIPPED_SHARE * record.n else []
-
-
-def _at_the_end(record: Record, runs: list[tuple[int, int]]) -> str:
-    count = sum(last - first for first, last in runs)
-    return f"{count} of {record.n} samples are at the end of its range, reached at full slope"
+def _clipped(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+    """Find the clipped outputs, if that is not a negligible part of the record."""
+    found: list[Finding] = []
+    for name in outputs:
+        y, runs = record[name], clipped_runs(record[name])
+        count = sum(last - first for first, last in runs)
+        if count > CLIPPED_SHARE * record.n:
+            text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
+            hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
+            evidence = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
+            found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
+    return found
 
 
 def clipped_runs(y: Array) -> list[tuple[int, int]]:
@@ -167,10 +169,10 @@ def clipped_runs(y: Array) -> list[tuple[int, int]]:
     for extreme in (y.min(), y.max()):
         held = np.concatenate([[0], (y == extreme).astype(int), [0]])
         change = np.flatnonzero(np.diff(held))
-        for first, last in zip(change[::2], change[1::2], strict=True):
+        for first, last in change.reshape(-1, 2).tolist():
             before = step[max(0, first - 2) : first]
             if last - first >= SHORTEST_CLIP and before.max(initial=0.0) >= 0.5 * usual:
-                runs.append((int(first), int(last)))
+                runs.append((first, last))
     return sorted(runs)
 
 
@@ -247,7 +249,7 @@ def suitability(plant: Any, record: Record) -> Suitability:
     level = uniform(record)
     # A dead sensor of a nonlinear plant would indicate a joint at standstill.
     dead = [replace(f, fatal=f.fatal or nonlinear) for f in _dead(record, names)]
-    findings = [*_clock(level), *_samples(record, names), *dead]
+    findings = [*_clock(level), *_clipped(record, names), *_quantised(record, names), *dead]
     if response is None:
         findings += _unexcited(record, inputs, names, {})
         if not isinstance(plant, SteppedPlant) and not any(f.fatal for f in findings):
@@ -276,23 +278,21 @@ def quantisation_step(y: Array) -> float | None:
     (0.025, None)
     """
     levels = np.unique(y)
-    if len(levels) < 3:
-        return None
     # Single precision has its own grid; steps must be much larger.
     kind = np.float32 if (y.astype(np.float32) == y).all() else np.float64
     rounding = 16 * float(np.finfo(kind).eps) * float(np.abs(levels).max())
     apart = np.diff(levels)
     apart = apart[apart > rounding]  # one level written in two ways
-    if not len(apart):
+    if len(levels) < 3 or not len(apart):
         return None
     step = float(apart.min())
     near = apart[apart < STEPS_APART * step]
+    steps = np.round(near / step)
     enough = len(near) >= min(FEWEST_DIFFERENCES, len(levels) - 1)
-    multiple = near / step
-    if not enough or step < 10 * rounding or (np.abs(multiple - np.round(multiple)) > MULTIPLE).mean() > 0.01:
+    if not enough or step < 10 * rounding or (np.abs(near / step - steps) > MULTIPLE).mean() > 0.01:
         return None
     # The mean over all differences reduces the rounding of one; 9 digits remove the rest.
-    return float(np.format_float_scientific(near.sum() / np.round(multiple).sum(), precision=9))
+    return float(np.format_float_scientific(near.sum() / steps.sum(), precision=9))
 
 
 # --- time base and samples -------------------------------------------------------------------------------------------
@@ -308,19 +308,12 @@ def _clock(level: UniformRecord) -> list[Finding]:
     return [Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence)]
 
 
-def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+def _quantised(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     found: list[Finding] = []
     for name in outputs:
-        y = record[name]
-        if runs := _clipped(record, name):
-            count = sum(last - first for first, last in runs)
-            evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
-            hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
-            text, expected = f"clipped: {_at_the_end(record, runs)}", "a sensor within its range"
-            found.append(Finding("clipped", name, text, expected, hint, False, evidence))
-        if step := quantisation_step(y):
+        if step := quantisation_step(record[name]):
             text = f"steps of {step:.6g} {record.unit(name)}".rstrip()
-            evidence = {"step": step, "noise": step / np.sqrt(12.0)}
+            evidence: dict[str, object] = {"step": step, "noise": step / np.sqrt(12.0)}
             found.append(Finding("quantisation", name, text, "", "", False, evidence))
     return found
 
@@ -345,16 +338,15 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
     A mode that decays more slowly than the record lasts behaves as an integrator within it: reported, not fatal.
     """
     slowest, period = slowest_time_constant(response.model), longest_period(response.model)
-    text = f"lasts {record.duration:.6g} s"
+    if record.duration >= (period or slowest):
+        return []
+    text, expected, hint = f"lasts {record.duration:.6g} s", "", f"record {3 * (period or slowest):.3g} s or more"
     evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
-    if record.duration < period:
-        expected = f"at least one period of the model's slowest oscillation, {period:.6g} s"
-        hint = f"record {3 * period:.3g} s or more"
-        return [Finding("too-short", "t", text, expected, hint, True, {**evidence, "period": period})]
-    if record.duration < slowest and not period:
+    if period:
+        expected, evidence["period"] = f"at least one period of the model's slowest oscillation, {period:.6g} s", period
+    else:
         text += f", less than the model's slowest time constant of {slowest:.6g} s: how that mode ends is not seen"
-        return [Finding("too-short", "t", text, "", f"record {3 * slowest:.3g} s or more", False, evidence)]
-    return []
+    return [Finding("too-short", "t", text, expected, hint, bool(period), evidence)]
 
 
 def _unexcited(

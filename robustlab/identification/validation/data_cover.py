@@ -22,9 +22,7 @@ from robustlab.uncertainty.lft import UncertainModel, product
 
 LEAST_RADIUS = 0.02  # of `data_cover`: no plant is known better than this at every frequency
 PRECISION = 0.02  # of each validation
-
-# Accuracy of loads along a record (means over its samples), over their bounds.
-LOAD_ACCURACY = 1e-3
+LOAD_ACCURACY = 1e-3  # of loads along a record (means over its samples), over their bounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,14 +68,12 @@ class DataCover(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return all fields but the validations and the model; of loads their bounds."""
-        data = {k: x for k, x in self.to_json(series=False).items() if k not in ("validations", "loads", "status")}
+        data = {k: x for k, x in self.to_json(series=False).items() if k not in ("validations", "status")}
         return {**data, "loads": {x.name: x.bound for x in self.loads}}
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Validity of the radius."""
-        text = "The radius is sought at nominal parameters, with a Δ that may vary with time;"
-        return (f"{text} their tolerances come on top.",)
+    notes: ClassVar[tuple[str, ...]] = (
+        "The radius is sought at nominal parameters, with a Δ that may vary with time; their tolerances come on top.",
+    )
 
     def to_json(self, series: bool = True) -> dict[str, object]:
         """Return all fields but the model; without ``series`` no time series of the validations."""
@@ -153,8 +149,7 @@ def data_cover(
     made = effect_loads(plant, records=records, margin=margin)
     seen = made.model.nominal.select([s.name for s in made.model.inputs], list(noise))
     bare = _unmodelled(UncertainModel(seen, []), made, 1.0)
-    found: dict[str, Validation] = {}
-    reached: dict[str, float] = {}
+    found, reached = dict[str, Validation](), dict[str, float]()
     for record in (*records, *held_out):
         driven = made.along(record)
         reached[record.name] = max((float(np.abs(driven[x.name]).max()) for x in made.loads), default=0.0)
@@ -180,9 +175,8 @@ def data_cover(
 
 def _unmodelled(whole: UncertainModel, made: EffectLoads, radius: float) -> UncertainModel:
     """Add ``(I + radius Delta)`` at the plant's own inputs, one block for each."""
-    inputs, k = whole.inputs, len(made.loads)
-    n, n_u = len(inputs), len(inputs) - k
-    own = np.eye(n)[k:]
+    inputs, k, n = whole.inputs, len(made.loads), len(whole.inputs)
+    n_u, own = n - k, np.eye(n)[k:]
     d = np.block([[np.zeros((n_u, n_u)), radius * own], [own.T, np.eye(n)]])
     names = [f"unmodelled@{s.name}" for s in inputs[k:]]
     gate = StateSpaceModel(

@@ -43,34 +43,31 @@ def validate(
     Parameters
     ----------
     uncertain
-        The set. Real blocks are constants; complex and full blocks are causal systems: in the time domain they may vary
-        in time, in the frequency domain they are time-invariant. A continuous model is sampled
-        with all inputs, also w, held between samples. Without a block noise alone must explain the record: gamma is 0,
-        or there is none.
+        The set. Real blocks are constants; complex and full blocks are causal systems, over frequency time-invariant.
+        A continuous model is sampled with all inputs, also w, held between samples. Without a block noise alone must
+        explain the record: gamma is 0, or there is none.
     record
-        The measurement, on a uniform time base; all inputs of the set must be recorded, and some of its outputs. In the
-        frequency domain also a measured frequency response (`FrequencyData`).
+        The measurement on a uniform time base, with all inputs of the set and some of its outputs; or `FrequencyData`.
     noise
         Output name -> bound of its noise, in its unit: of every sample in the time domain; in the frequency domain of
         the root mean square over the periods of a record, or at each line of a frequency response, where it may be one
         value for each line.
     domain
-        ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), for blocks that
-        are time-invariant systems, from whole periods of a record in steady state or from a `FrequencyData`.
+        ``"time"``: sample by sample (Poolla et al.). ``"frequency"``: line by line (Smith and Doyle), from whole
+        periods of a record in steady state or from `FrequencyData`.
     at_rest
-        The record starts at equilibrium. Otherwise the observable states are free at the start. Delta starts at zero
-        state.
+        The record starts at equilibrium. Otherwise the observable states are free at the start; Delta starts at zero.
     window
         Cut the record into windows of that many seconds, each with a free initial state; the state of Delta continues.
         A weaker test, for records over which an open-loop response drifts.
     precision
         Relative width of the bounds to be reached.
     time_limit
-        In s. If it is reached, the result has status TIMEOUT and depends on the machine. None: no limit.
+        In s. If it is reached, the status is TIMEOUT and the result depends on the machine.
     progress
         Called with one line at each step.
     effort
-        Work that the search may take, as a multiple of the usual (about two minutes); counted, not timed.
+        Work of the search as a multiple of the usual (about two minutes); counted, not timed.
 
     Returns
     -------
