@@ -105,7 +105,6 @@ class Identity:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over all three parts."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
@@ -113,7 +112,6 @@ class Identity:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Identity:
-        """Inverse of `to_json`."""
         return cls(data["model"], CampaignSettings(**data["settings"]), data["code"])
 
 

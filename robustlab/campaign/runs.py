@@ -111,7 +111,6 @@ def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResu
 
 
 def saved_samples(store: str | Path) -> tuple[int, int]:
-    """Return the numbers of stored and of requested samples."""
     with closing(Store.open(Path(store))) as opened:
         return sum(opened.counts()), opened.identity.settings.n
 
@@ -163,7 +162,6 @@ def _evaluator(store: Store) -> Evaluator:
 
 
 def _same_campaign(store: Store, identity: Identity) -> None:
-    """Reject a store of another campaign."""
     if changes := differences(store.identity, identity):
         since = "changed since sample 0" if sum(store.counts()) else "differs from the one that was begun"
         store.close()

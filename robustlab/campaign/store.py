@@ -143,17 +143,14 @@ class Store:
     # --- campaign ----------------------------------------------------------------------------------------------------
 
     def put(self, name: str, value: str | bytes) -> None:
-        """Write one entry of the campaign's own table."""
         with _named(self.path):
             self._db.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?)", (name, value))
 
     def get(self, name: str) -> Any:
-        """Return an entry of the campaign's own table, or None."""
         return next(self._asked("SELECT value FROM campaign WHERE name = ?", name), (None,))[0]
 
     @property
     def identity(self) -> Identity:
-        """Identity of the campaign."""
         return Identity.from_json(json.loads(self.get("identity")))
 
     def facts(self) -> dict[str, Any]:
@@ -163,7 +160,6 @@ class Store:
     # --- samples -----------------------------------------------------------------------------------------------------
 
     def save(self, rows: Rows) -> None:
-        """Write samples in one transaction."""
         values, columns = (
             list[tuple[Any, ...]](),
             (rows.values.tolist(), rows.deltas.astype("<f8"), rows.seconds.tolist()),
@@ -191,7 +187,6 @@ class Store:
         return found.get(DONE, 0), found.get(LOST, 0)
 
     def lost(self, most: int) -> list[Sample]:
-        """Return the first lost samples."""
         return list(self.samples("WHERE status = ? ORDER BY idx LIMIT ?", LOST, most))
 
     def worst(self, sense: int) -> Sample | None:
@@ -221,7 +216,6 @@ class Store:
             yield Sample(index, status, np.nan if value is None else value, delta, reason or "")
 
     def _asked(self, question: str, *values: Any) -> Iterator[Any]:
-        """Stream the answer to a question."""
         with _named(self.path):
             yield from self._db.execute(question, values)
 

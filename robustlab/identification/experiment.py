@@ -327,7 +327,6 @@ def _screened(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseMo
 
 
 def _refitted(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, entry: _Entry) -> _Entry:
-    """Return the entry with the distances of full refits."""
     sensors, distances = list(entry.sensors), []
     own = NoiseModel(noise.std[sensors], noise.ar[:, sensors])
     for true, other in pairs:

@@ -182,7 +182,6 @@ class Ensemble:
 
 
 def blocks_of(count: int, size: int) -> list[slice]:
-    """Split ``range(count)`` into blocks."""
     return [slice(first, min(first + size, count)) for first in range(0, count, size)]
 
 

@@ -111,7 +111,6 @@ def selected(uncertain: UncertainModel, input: str | None, output: str | None) -
 
 
 def need_real(uncertain: UncertainModel, what: str) -> None:
-    """Reject complex blocks."""
     for block in uncertain.blocks:
         if not block.is_real:
             hint = "a complex Delta has a metric 'hinf' only"

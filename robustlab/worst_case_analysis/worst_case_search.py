@@ -235,7 +235,6 @@ class _Search:
         self.best, self.top = np.zeros(metric.set.size), -np.inf
 
     def run(self, n: int, seed: int) -> tuple[Array, float]:
-        """Return the worst vector and its score."""
         d, blocks = self.metric.set.size, self.metric.set.blocks
         points = np.zeros((1, d))
         if d:

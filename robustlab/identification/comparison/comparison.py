@@ -14,7 +14,6 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
-from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
@@ -29,13 +28,12 @@ from robustlab.identification.comparison.error_analysis import (
     motion_of,
 )
 from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
+from robustlab.identification.data_checks.channel_identity import along_motion
 from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
-from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.greybox.prepared_record import window_length
 from robustlab.identification.response.response import (
-    Stretch,
     matched,
     response_of,
     slowest_time_constant,
@@ -65,7 +63,6 @@ POINTS = 60  # of the motion, at which the couplings of signals and joints and t
 NO_MOTION = Motion(None, None, "", "", "", "")
 SHORTEST_RECORD = 40  # samples
 CHECKED = 6  # windows that are also simulated with the nonlinear plant
-LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
 DIVERGED = 10.0  # times the recorded range from the record: the free run ends there
 SECTION = 100  # samples that the free run simulates at once
 RTOL = 1e-9
@@ -252,20 +249,13 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))
     inputs, names = [s.name for s in plant.inputs], [s.name for s in outputs]
-    for name in names:
-        if not np.ptp(record[name]):
-            found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
-            raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
-    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
-    u = np.column_stack([record.inputs[name] for name in inputs])
-    whole = stretch_of(record, inputs, names)
+    if dead := [name for name in names if not np.ptp(record[name])]:
+        found = f"{dead[0]} stands at {record[dead[0]][0]:.6g} {record.unit(dead[0])}".rstrip() + " throughout"
+        raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
     try:
-        smoothed = smooth_motion(plant, record.t, u, whole.y, columns)[0]
+        model, smoothed = along_motion(plant, stretch_of(record, inputs, names), names)
     except InputError as wrong:  # its message refers to effect identification
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
-    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
-    whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
-    model = MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole)
     return Matching(model, record, inputs, outputs, warnings, smoothed)
 
 

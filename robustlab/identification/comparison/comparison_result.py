@@ -109,11 +109,10 @@ class Comparison(Tabular, Evidence):
     def headline(self) -> str:
         """Report the output with the largest error, in free run where that is complete, else in windows."""
         free, gaps = self.free_run, self.outputs.values()
+        most = max(gaps, key=lambda gap: gap.rms_percent if free.whole else gap.windowed_rms_percent)
         if free.whole:
-            most = max(gaps, key=lambda gap: gap.rms_percent)
             size, how, when = most.rms_percent, "in free run", f"most at {number(most.peak_time, 's', 3)}"
         else:
-            most = max(gaps, key=lambda gap: gap.windowed_rms_percent)
             size, how = most.windowed_rms_percent, f"in windows of {number(self.window, 's', 3)}"
             when = f"the free run ends at {number(free.end, 's', 3)}"
         return f"against {self.record}: {how} {most.name} is off by {size:.3g} % of its range (rms); {when}"
@@ -201,9 +200,9 @@ class Comparison(Tabular, Evidence):
         found: Facts = []
         for d in self.located:
             means = [f"{mean:+.3g} +- {number(std, d.unit, 2)} {way}" for way, (mean, std) in d.sure_means.items()]
-            mean_text = ", ".join(means) or "no mean that differs from zero"
+            size = f"rms {number(d.rms, d.unit, 3)}; {', '.join(means) or 'no mean that differs from zero'}"
             share = f"{100 * d.explained_share:.0f} % of the squared error goes"
-            found.append((f"missing: {d.place}", f"rms {number(d.rms, d.unit, 3)}; {mean_text}; {share}"))
+            found.append((f"missing: {d.place}", f"{size}; {share}"))
         return found
 
     def numbers(self) -> dict[str, Any]:

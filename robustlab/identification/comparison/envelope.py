@@ -167,19 +167,17 @@ def cover(
         raise NoTrustworthyNumber(f"cover {record.name}", "a member exceeds double precision", None, "a shorter record")
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
-        measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, measured, centre, members, allowed[name])
+        series = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
+        signals[name] = _coverage(name, unit, record.t, *series, allowed[name])
         if lag:
-            seconds = lag * record.dt
-            middle = 0.5 * (record.t[lag:] + record.t[:-lag])
-            rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
+            seconds, middle = lag * record.dt, 0.5 * (record.t[lag:] + record.t[:-lag])
+            rates = ((y[..., lag:] - y[..., :-lag]) / seconds for y in series)
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
-            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
+            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, *rates, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
 
 
 def require_linear_set(where: str, uncertain: Any) -> None:
-    """Refuse anything but an uncertain linear model."""
     if isinstance(uncertain, NonlinearPlant):
         hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
         raise InputError(where, f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint)

@@ -243,7 +243,6 @@ class Linearisation(Evidence):
     broken: Array  # start times of the windows whose nonlinear simulation does not reach their end; not counted
 
     def warnings(self) -> list[str]:
-        """Return warnings about the accuracy of the windows."""
         texts = []
         worst = max(self.share, key=lambda name: self.share[name], default="")
         if worst and self.share[worst] > LINEAR_SHARE:

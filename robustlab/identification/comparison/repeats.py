@@ -159,12 +159,11 @@ def effective_dof(deviation: Array) -> float:
 
 def _lag_differences(x: Array) -> Array:
     """Compute the mean square of x[k + p] - x[k] for the lags p = 0..n // 2."""
-    n = len(x)
-    x = x - x.mean()
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(x, size)
+    from scipy.signal import correlate
+
+    x, n = x - x.mean(), len(x)
     lags = np.arange(n // 2 + 1)
-    product = np.fft.irfft(np.abs(spectrum) ** 2, size)[lags]
+    product = correlate(x, x, method="fft")[n - 1 + lags]
     energy = np.concatenate([[0.0], np.cumsum(x**2)])
     return np.maximum(0.0, energy[n - lags] + (energy[n] - energy[lags]) - 2.0 * product) / (n - lags)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.response.response import Stretch, rates, stretch_of
 from robustlab.identification.response.windowed_simulation import MotionResponse, fit_windows
@@ -31,6 +32,7 @@ from robustlab.worst_case_analysis.members import recursion
 LONGEST = 600  # samples used
 WINDOW = 100  # samples
 SUSPECT = 10.0  # times the sensors' scatter: a smaller error is not due to a channel
+LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
 LEFT = 0.1  # share of the squared error that may remain with an inverted channel
 
 
@@ -43,11 +45,12 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     names = [s.name for s in plant.outputs if s.name in record.outputs]
     first = max(0, (record.n - LONGEST) // 2)
     whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
-    u, left, impossible = np.column_stack(list(whole.u.values())), dict[str, float](), None
+    left, impossible = dict[str, float](), None
     for turned in ("", *whole.u, *names):
-        signs_u, signs_y = (np.where([name == turned for name in side], -1.0, 1.0) for side in (whole.u, names))
+        u = {name: -x if name == turned else x for name, x in whole.u.items()}
+        y = whole.y * np.where([name == turned for name in names], -1.0, 1.0)
         try:
-            left[turned] = _error(plant, whole, u * signs_u, whole.y * signs_y, names)
+            left[turned] = _error(plant, replace(whole, u=u, y=y), names)
         except NoTrustworthyNumber as none:
             left[turned], impossible = np.inf, none if turned == "" else impossible
         if left[""] < SUSPECT**2:
@@ -60,17 +63,22 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     return {best: share} if share < LEFT else {}
 
 
-def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, names: Sequence[str]) -> float:
+def _error(plant: NonlinearPlant, whole: Stretch, names: Sequence[str]) -> float:
     """Compute the mean square of the windowed error in units of the sensors' scatter."""
-    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
-    smoothed = smooth_motion(plant, whole.t, u, y, columns)[0]
-    noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
-    judged = Stretch(whole.t, whole.u, y, 1.0 / noise)
-    response = MotionResponse(Course(plant, smoothed.x, u, float(whole.t[1] - whole.t[0])), columns, judged)
+    response, _ = along_motion(plant, whole, names)
     length = min(WINDOW, len(whole.t))
     starts = np.arange(0, len(whole.t) - length + 1, length)
     left = [fit_windows(response, windows).left for windows in response.responses(starts, length)]
     return float(np.mean(np.concatenate(left) ** 2))
+
+
+def along_motion(plant: NonlinearPlant, whole: Stretch, names: Sequence[str]) -> tuple[MotionResponse, SmoothedRecord]:
+    """Return the response about the smoothed motion of a uniform record, weighted by the noise of each sensor."""
+    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
+    u, dt = np.column_stack(list(whole.u.values())), float(whole.t[-1] - whole.t[0]) / (len(whole.t) - 1)
+    smoothed = smooth_motion(plant, whole.t, u, whole.y, columns)[0]
+    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
+    return MotionResponse(Course(plant, smoothed.x, u, dt), columns, replace(whole, weight=1.0 / noise)), smoothed
 
 
 # For a channel in no known unit: thousands, hundreds, degrees, turns, turns per minute.
@@ -268,7 +276,6 @@ def _contradiction(
 
 
 def turned_sign(channels: tuple[str, ...], because: str, evidence: dict[str, object]) -> Finding:
-    """State that a channel, or one of several, has the wrong sign."""
     either = " or ".join(channels)
     text = f"{either} seems to be measured with the other sign ({because})"
     hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
@@ -334,7 +341,6 @@ def response_factors(
 def _factors(
     model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
 ) -> list[Factors]:
-    """Fit the factors of each output in windows of one length."""
     kept = _windows(good, length)
     if not kept:
         return []

@@ -107,7 +107,6 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
 
 
 def refuse_gaps(where: str, gaps: Sequence[Gap], action: str) -> None:
-    """Refuse a record with missing samples."""
     if gaps:
         gap = gaps[0]
         found = f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s"

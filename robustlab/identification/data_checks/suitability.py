@@ -384,13 +384,13 @@ def _noise(y: Array) -> float:
 
 
 def _moves(y: Array, share: float) -> bool:
+    from scipy.signal import detrend
+
     if share >= RESPONDS:
         return True
-    step = quantisation_step(y)
-    if step and np.ptp(y) < FEWEST_STEPS * step:
+    if np.ptp(y) < FEWEST_STEPS * (quantisation_step(y) or 0.0):
         return False
-    t = np.linspace(-1.0, 1.0, len(y))
-    rest = y - np.polyval(np.polyfit(t, y, 1), t)
+    rest = detrend(y)
     before = np.column_stack([rest[1:-1], rest[:-2]])
     # The error of a prediction from two samples is near zero even for fast oscillations.
     unpredicted = float(np.std(rest[2:] - before @ np.linalg.lstsq(before, rest[2:], rcond=None)[0]))

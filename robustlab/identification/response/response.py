@@ -34,7 +34,6 @@ class Stretch:
 
     @property
     def is_uniform(self) -> bool:
-        """Whether all time steps are equal."""
         return is_uniform(self.t)
 
     def cut(self, first: int, last: int) -> Stretch:
@@ -63,7 +62,6 @@ class Response:
         return with_units(record, (*self.model.inputs, *self.outputs))
 
     def stretch(self, record: Record) -> Stretch:
-        """Return the compared signals of the whole record."""
         return stretch_of(record, self.model.input_names, self.output_names)
 
     def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
@@ -175,17 +173,16 @@ def with_units(record: Record, signals: Sequence[Signal]) -> Record:
 
 def converted(record: Record, signals: Sequence[Signal]) -> dict[str, str]:
     """Return signal -> conversion by `with_units`, in words."""
-    return {
-        name: f"recorded in {record.unit(name)}, converted to {unit} (times {factor:.6g})"
-        for name, unit in signals if (factor := _conversions(record, [Signal(name, unit)]).get(name)) is not None
-    }  # fmt: skip
+    factors, units = _conversions(record, signals), dict(signals)
+    text = "recorded in {}, converted to {} (times {:.6g})"
+    return {name: text.format(record.unit(name), units[name], factor) for name, factor in factors.items()}
 
 
 def _conversions(record: Record, signals: Sequence[Signal]) -> dict[str, float]:
     """Return signal -> factor, where the record states another unit of the same measure."""
     found: dict[str, float] = {}
     for name, unit in signals:
-        stated = record.unit(name) if name in record.inputs or name in record.outputs else ""
+        stated = record.units.get(name, "")
         factor = factor_between(stated, unit) if stated and unit and not same_unit(stated, unit) else None
         if factor is not None:
             found[name] = factor
@@ -200,14 +197,14 @@ def stretch_of(record: Record, inputs: Sequence[str], outputs: Sequence[str]) ->
 
 
 def _check_units(where: str, model_signals: tuple[Signal, ...], record: Record) -> list[str]:
-    warnings: list[str] = []
+    warnings, conversions = list[str](), converted(record, model_signals)
     for name, unit in model_signals:
         measured = record.unit(name)
-        if unit and measured and not same_unit(unit, measured):
-            if factor_between(measured, unit) is None:
-                expected, hint = f"{unit} as in the model", "convert the record, or correct its unit"
-                raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", expected, hint)
-            warnings.append(f"{name}: {converted(record, [Signal(name, unit)])[name]}")
+        if name in conversions:
+            warnings.append(f"{name}: {conversions[name]}")
+        elif unit and measured and not same_unit(unit, measured):
+            expected, hint = f"{unit} as in the model", "convert the record, or correct its unit"
+            raise UnitMismatch(f"{where}: {name}", f"recorded in {measured}", expected, hint)
         if not measured and not unit:
             warnings.append(f"{name}: neither the record nor the model states a unit; taken as equal")
         elif not measured or not unit:

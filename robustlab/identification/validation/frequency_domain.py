@@ -320,16 +320,6 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
 # --- the result -------------------------------------------------------------------------------------------------------
 
 
-def fits_frequency_domain(data: Record | FrequencyData, domain: str, window: float | None, at_rest: bool) -> None:
-    """Refuse options without a meaning in the frequency domain."""
-    where = f"validate {data.name}"
-    if domain == "time":
-        raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
-    for name, given in (("windows", window), ("at_rest", at_rest)):
-        if given:
-            raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
-
-
 def validate_by_lines(
     uncertain: UncertainModel,
     data: Record | FrequencyData,

@@ -10,10 +10,11 @@ from typing import Literal
 
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.budget import MILLION, one_thread, search_budget
 from robustlab.errors import InputError, error_context
 from robustlab.identification.comparison.envelope import require_linear_set
-from robustlab.identification.validation.frequency_domain import FrequencyData, fits_frequency_domain, validate_by_lines
+from robustlab.identification.validation.frequency_domain import FrequencyData, validate_by_lines
 from robustlab.identification.validation.sampled_problem import Search, prepared
 from robustlab.identification.validation.time_domain import validate_by_samples
 from robustlab.identification.validation.validation_result import Validation
@@ -97,14 +98,18 @@ def validate(
         if block.is_real and not block.interval:
             found = f"a {type(block).__name__}"
             raise InputError(f"validate: block {block.name!r}", found, "real scalars, complex and full blocks")
-    if not 1e-4 <= precision <= 0.2:
-        raise InputError("validate", f"precision {precision:g}", "between 1e-4 and 0.2")
-    if domain not in ("time", "frequency"):
-        raise InputError("validate", f"domain {domain!r}", "'time' or 'frequency'")
+    checks.number("validate: precision", precision, at_least=1e-4, at_most=0.2)
+    checks.choice("validate: domain", domain, ("time", "frequency"))
     report = progress or (lambda _line: None)
     search = Search(precision, budget)
     if domain == "frequency" or isinstance(record, FrequencyData):
-        fits_frequency_domain(record, domain, window, at_rest)
+        where = f"validate {record.name}"
+        if domain == "time":
+            raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
+        for name, given in (("windows", window), ("at_rest", at_rest)):
+            if given:
+                found = f"{name} in the frequency domain"
+                raise InputError(where, found, "whole periods in steady state", 'domain="time"')
         with one_thread():
             return validate_by_lines(uncertain, record, noise, search, report)
     with one_thread():

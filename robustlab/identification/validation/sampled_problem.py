@@ -69,7 +69,6 @@ def prepared(
     window: float | None = None,
     at_rest: bool = False,
 ) -> Recorded:
-    """Match model and record."""
     where = f"validate {record.name}"
     if not record.is_uniform:
         step = np.diff(record.t)
@@ -205,7 +204,6 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
 
 
 def zero_order_hold(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
-    """Discretise A and B at the record's sample time with zero-order hold."""
     if M.dt:
         return M.A, M.B
     A, B, _ = transition(M, dt)

@@ -51,9 +51,8 @@ def _cleaned(D: Array, noise: Array) -> Multipliers:
 
 def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma: float) -> float:
     """Maximise L over all w and free states; +inf if L is not bounded above. A negative value is a proof."""
-    n_x, q = problem.B.shape
+    (n_x, q), p, n_y = problem.B.shape, len(problem.C1), len(problem.C2)
     D, noise = multipliers.D, multipliers.noise
-    p, n_y = len(problem.C1), len(problem.C2)
     # Rows of (x, w, 1) to z, w and n; their last columns change with t.
     to_z = np.hstack([problem.C1, problem.D11, np.zeros((p, 1))])
     to_n = np.hstack([-problem.C2, -problem.D21, np.zeros((n_y, 1))])
@@ -70,17 +69,13 @@ def lagrangian_maximum(problem: SampledProblem, multipliers: Multipliers, gamma:
         to_z[:, -1], to_n[:, -1] = problem.z0[t], problem.e[t]
         H = step.T @ value @ step + to_z.T @ (weight_z[t][:, None] * to_z)
         H -= to_w.T @ (weight_w[t][:, None] * to_w) + to_n.T @ (noise[t][:, None] * to_n)
-        reduced = _maximised(H, keep, move)
-        if reduced is None:
-            return np.inf
-        value = reduced
-        if t in problem.free_starts:  # x + free xi for the best xi
+        value = _maximised(H, keep, move)
+        if value is not None and t in problem.free_starts:  # x + free xi for the best xi
             jump = np.zeros((n_x + 1, n_x + 1 + problem.free.shape[1]))
             jump[:n_x, :n_x], jump[n_x, n_x], jump[:n_x, n_x + 1 :] = np.eye(n_x), 1.0, problem.free
-            reduced = _maximised(jump.T @ value @ jump, [*range(n_x + 1)], list(range(n_x + 1, jump.shape[1])))
-            if reduced is None:
-                return np.inf
-            value = reduced
+            value = _maximised(jump.T @ value @ jump, [*range(n_x + 1)], list(range(n_x + 1, jump.shape[1])))
+        if value is None:
+            return np.inf
     return float(value[n_x, n_x] + noise.sum())
 
 
@@ -93,9 +88,7 @@ def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
     size = float(np.abs(values).max(initial=0.0))
     turned = vectors.T @ cross
     flat = values > -FLAT * max(size, 1e-300)
-    if (values[flat] > FLAT * size).any():
-        return None
-    if flat.any() and np.abs(turned[flat]).max() > 1e-7 * np.abs(H).max():
+    if (values[flat] > FLAT * size).any() or np.abs(turned[flat]).max(initial=0.0) > 1e-7 * np.abs(H).max():
         return None
     gain = turned[~flat] / np.sqrt(-values[~flat])[:, None]
     outer = H[np.ix_(keep, keep)] + gain.T @ gain
@@ -108,13 +101,9 @@ def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Sear
     An infinite ``start`` belongs to multipliers D that are zero where w is free: they disprove every gamma or none.
     """
     search.budget.spend(SWEEP_WORK * problem.n)
-
-    def disproved(gamma: float) -> bool:
-        return lagrangian_maximum(problem, multipliers, gamma) < 0
-
     if np.isinf(start):
-        return np.inf if disproved(1.0) else 0.0
-    return largest_disproved(disproved, start, search.precision / 10)
+        return np.inf if lagrangian_maximum(problem, multipliers, 1.0) < 0 else 0.0
+    return largest_disproved(lambda g: lagrangian_maximum(problem, multipliers, g) < 0, start, search.precision / 10)
 
 
 # --- the search ------------------------------------------------------------------------------------------------------
@@ -179,9 +168,8 @@ def _by_noise(programme: _Programme) -> Found:
     """
     problem = programme.problem
     silent = np.zeros((problem.n, len(problem.blocks)), dtype=bool)
-    if programme.convex:
-        for k, (_, cols, _) in enumerate(problem.blocks):
-            silent[:, k] = _silent(problem, problem.z0, cols)
+    for k, (_, cols, _) in enumerate(problem.blocks if programme.convex else ()):
+        silent[:, k] = _silent(problem, problem.z0, cols)
     solved = programme.least_noise(silent)
     D = np.where(np.cumsum(~silent, axis=0) == 0, UNBOUNDED, 0.0)
     multipliers = Multipliers(D, _cleaned(np.zeros_like(D), programme.multipliers(solved).noise).noise)
