@@ -62,14 +62,13 @@ class CampaignSettings:
     # `"search"`: index i is one whole worst-case search from starting points of its own.
     kind: Literal["samples", "vertices", "search"] = "samples"
     seed: int = 0  # seed of the random numbers; index i draws from `SeedSequence(seed, spawn_key=(i,))`
-    # output, input: signals of the metric
-    output: str | None = None
+    output: str | None = None  # signals of the metric
     input: str | None = None
-    # Input name -> number, or samples on the times; a unit step where omitted.
-    u: Mapping[str, float | Sequence[float]] | None = None
-    # t_end, points: end time in s and number of times; from the nominal poles where `t_end` is omitted
-    t_end: float | None = None
-    points: int = 401
+    u: Mapping[str, float | Sequence[float]] | None = (
+        None  # input -> number, or samples on the times; default: unit step
+    )
+    t_end: float | None = None  # end time in s; from the nominal poles where omitted
+    points: int = 401  # number of times
     hold: Literal["zoh", "foh"] = "zoh"  # input between samples
     starts: int = 64  # for searches: number of first Sobol points
     band: float = 0.02  # share of the final value that counts as settled
@@ -84,10 +83,8 @@ class CampaignSettings:
             checks.number("campaign: t_end", self.t_end, "a positive number of seconds", above=0)
 
     def to_json(self) -> dict[str, Any]:
-        data = asdict(self)
-        if self.u is not None:
-            data["u"] = {name: np.asarray(value, dtype=float).tolist() for name, value in self.u.items()}
-        return data
+        u = {name: np.asarray(value, dtype=float).tolist() for name, value in (self.u or {}).items()}
+        return {**asdict(self), "u": None if self.u is None else u}
 
 
 @dataclass(frozen=True)

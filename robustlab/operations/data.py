@@ -44,7 +44,7 @@ def check_record(
     """
 
 
-@operation("data compare", "compare", result="identification.comparison.comparison_result.Comparison")
+@operation("data compare", "compare", result="identification.comparison.comparison.Comparison")
 def compare(
     model: Annotated[Any, Machine(("plant", "model", "uncertain", "any")), "Model file, plant, or file.py:name."],
     record: Measured,

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
-from robustlab.identification.comparison.comparison_result import Comparison
+from robustlab.identification.comparison.comparison import Comparison
 from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.report import style
 

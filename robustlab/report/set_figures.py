@@ -14,19 +14,19 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from robustlab.arrays import Array
-from robustlab.campaign.campaign_result import CampaignResult
+from robustlab.campaign.runs import CampaignResult
 from robustlab.errors import InputError
 from robustlab.identification.comparison.envelope import EnvelopeCoverage
 from robustlab.identification.validation import Validation
-from robustlab.identification.validation.data_cover import DataCover
+from robustlab.identification.validation.model_validation import DataCover
 from robustlab.mu_analysis.margins.cover import Cover
 from robustlab.report import style
 from robustlab.report.robustness_figures import response_figure
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.covers import Overbound, error_sizes
 from robustlab.uncertainty.unstructured import Form
-from robustlab.worst_case_analysis import WorstCase
 from robustlab.worst_case_analysis.sampling import Responses
+from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
 SHOWN = 24  # parameters side by side
 MODELS = 60  # errors drawn one by one

@@ -197,7 +197,7 @@ class Responses(Displayable):
             ("outputs", with_units(self.outputs)),
             ("largest deviation", listed(f"{s.name} {number(float(value), s.unit)}" for s, value in deviations)),
             ("unstable", f"{len(self.unstable)} members" if self.unstable else ""),
-            ("said", self.label),
+            ("meaning", self.label),
         ]
 
     def to_json(self) -> dict[str, object]:

@@ -230,7 +230,7 @@ class ViolationProbability(Tabular, Displayable):
             ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
             ("worst sample", f"number {self.worst_index}: {worst}: {member(self.worst_delta)}"),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
-            ("said", self.label),
+            ("meaning", self.label),
         ]
 
     def table(self) -> Table:

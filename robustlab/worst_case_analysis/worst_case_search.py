@@ -95,7 +95,7 @@ class WorstCase(Displayable, AllFields):
             ("largest change of the response", number(self.percent, "%")),
             ("worst member", member(self.delta, self.physical)),
             ("at", f"{name} = {number(self.at, unit.rstrip(']'))}" if name and number(self.at) else ""),
-            ("said", self.label),
+            ("meaning", self.label),
             ("evaluated", f"{self.evaluations} members, seed {self.seed}"),
             ("input, output", ", ".join(name for name in (self.input, self.output) if name)),
         ]

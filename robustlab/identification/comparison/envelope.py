@@ -16,8 +16,7 @@ from robustlab.arrays import Array
 from robustlab.display import Each, Facts, number
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
-from robustlab.identification.response.response import response_of
-from robustlab.identification.response.windowed_simulation import SHORTEST_START, LinearResponse, starting_state
+from robustlab.identification.response.response import SHORTEST_START, LinearResponse, response_of, starting_state
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel

@@ -19,10 +19,10 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
-from robustlab.identification.response.response import Stretch
-from robustlab.identification.response.windowed_simulation import (
+from robustlab.identification.response.response import (
     LinearResponse,
     MotionResponse,
+    Stretch,
     Windowed,
     WindowedSimulation,
     fit_windows,
@@ -211,7 +211,7 @@ class WindowErrors(Evidence):
 
 @dataclass(frozen=True)
 class ResidualTests(Evidence):
-    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
+    """Tests of one output's recursive residual (see `robustlab.identification.response.response`)."""
 
     rms: float  # RMS of the residual in the unit of the output
     whiteness: Correlation

@@ -21,8 +21,7 @@ from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
-from robustlab.identification.response.response import Stretch, rates, stretch_of
-from robustlab.identification.response.windowed_simulation import MotionResponse, fit_windows
+from robustlab.identification.response.response import MotionResponse, Stretch, fit_windows, rates, stretch_of
 from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
