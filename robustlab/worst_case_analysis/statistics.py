@@ -214,7 +214,7 @@ class ViolationProbability(Tabular, Displayable):
         header = ("quantile", value, f"bounds at {100 * self.confidence:g} %")
         rows = [(f"{100 * q.share:g} %", f"{q.value:.6g}", f"{q.lower:.6g} .. {q.upper:.6g}") for q in self.quantiles]
         matter = [] if self.influence is None else self.influence.rows()
-        header_of_rows = ("what matters", "of the spread", "metric", "worst sample with it nominal")
+        header_of_rows = ("relevant parameter", "of the spread", "metric", "worst sample with it nominal")
         return [Part("", header, rows), Part("", header_of_rows, matter)]
 
     def facts(self) -> Facts:

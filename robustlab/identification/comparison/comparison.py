@@ -479,7 +479,7 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
     record = with_units(record, (*plant.inputs, *outputs))
     inputs, names = [s.name for s in plant.inputs], [s.name for s in outputs]
     if dead := [name for name in names if not np.ptp(record[name])]:
-        found = f"{dead[0]} stands at {record[dead[0]][0]:.6g} {record.unit(dead[0])}".rstrip() + " throughout"
+        found = f"{dead[0]} is {record[dead[0]][0]:.6g} {record.unit(dead[0])}".rstrip() + " throughout"
         raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
     try:
         model, smoothed = along_motion(plant, stretch_of(record, inputs, names), names)

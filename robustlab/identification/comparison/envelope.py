@@ -89,7 +89,7 @@ class EnvelopeCoverage(Evidence):
         return all(s.share == 1.0 for s in self.signals.values())
 
     def headline(self) -> str:
-        verdict = "lies in the envelope" if self.covered else "is not covered"
+        verdict = "is inside the envelope" if self.covered else "is not covered"
         return f"{self.record} {verdict} of {self.members} members (seed {self.seed})"
 
     def facts(self) -> Facts:

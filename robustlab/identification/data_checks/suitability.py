@@ -110,11 +110,9 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
     if not record.is_uniform:
         steps = np.diff(record.t)
         k = int(np.argmax(np.abs(steps - record.dt)))
-        jitter = summarise_clock(record.t).jitter
-        remarks.append(
-            f"t: steps of {steps.min():.6g} to {steps.max():.6g} s, the oddest after sample {k}; "
-            f"jitter {jitter:.3g} s rms beside gaps"
-        )
+        jitter = f"jitter {summarise_clock(record.t).jitter:.3g} s rms without gaps"
+        size = f"{steps.min():.6g} to {steps.max():.6g} s"
+        remarks.append(f"t: steps of {size}, the most unusual after sample {k}; {jitter}")
     remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # resampling while reading
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
@@ -324,7 +322,7 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     found: list[Finding] = []
     for name in dead:
         value, fatal = float(record[name][0]), len(dead) == len(outputs)
-        text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
+        text = f"is {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
         found.append(Finding("constant-output", name, text, "an output that moves", hint, fatal, {"value": value}))
     return found
 

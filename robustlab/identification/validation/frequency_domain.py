@@ -258,7 +258,7 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
     lines = np.arange(n // 2 + 1)
     edge = (lines == 0) | (2 * lines == n)
     M, (q, p) = recorded.uncertain.M, uncertain.delta_shape
-    changed = f"what changes between them is {100 * np.sqrt(changing.max()):.3g} % of the noise bound"
+    changed = f"the change between them is {100 * np.sqrt(changing.max()):.3g} % of the noise bound"
     assumptions = [
         f"steady state over {floor.count} periods of {floor.period:.6g} s from sample {floor.first} on; {changed}",
         "the root mean square of the noise over these periods is within its bound",
