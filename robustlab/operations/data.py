@@ -143,7 +143,7 @@ def _inferred_set(step: Any, ahead: Any) -> Any:
     return replace(ahead[None], outputs=ahead[step.of].outputs, leaves=type(step).leaves)  # loads are before its inputs
 
 
-@operation("", "data-cover", result=f"{VALIDATED}data_cover.DataCover", gives="uncertain", made="model",
+@operation("", "data-cover", result=f"{VALIDATED}model_validation.DataCover", gives="uncertain", made="model",
            infer=_inferred_set)  # fmt: skip
 def data_cover(
     plant: Moved,
