@@ -98,7 +98,7 @@ _PUBLIC = {
     "compare": "identification.comparison.comparison",
     "discover": "identification.missing_effects.discovery",
     "watch": "identification.monitoring",
-    "data_cover": "identification.validation.data_cover",
+    "data_cover": "identification.validation.model_validation",
     "uncertain_from": "identification.missing_effects.updated_plant",
     "validate": "identification.validation",
     "FrequencyData": "identification.validation",

@@ -26,7 +26,7 @@ from robustlab.identification.missing_effects.updated_plant import uncertain_fro
 from robustlab.identification.monitoring import watch as watch
 from robustlab.identification.validation import FrequencyData as FrequencyData
 from robustlab.identification.validation import validate as validate
-from robustlab.identification.validation.data_cover import data_cover as data_cover
+from robustlab.identification.validation.model_validation import data_cover as data_cover
 from robustlab.iqc.block_types import Nonlinearity as Nonlinearity
 from robustlab.iqc.block_types import Varying as Varying
 from robustlab.linear_analysis.frequency import frequency_response as frequency_response

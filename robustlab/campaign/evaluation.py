@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.errors import EnvironmentFault, InputError, NoTrustworthyNumber, UsageError, did_you_mean, plain_text
@@ -61,35 +62,29 @@ class CampaignSettings:
     # `"search"`: index i is one whole worst-case search from starting points of its own.
     kind: Literal["samples", "vertices", "search"] = "samples"
     seed: int = 0  # seed of the random numbers; index i draws from `SeedSequence(seed, spawn_key=(i,))`
-    # output, input: signals of the metric
-    output: str | None = None
+    output: str | None = None  # signals of the metric
     input: str | None = None
-    # Input name -> number, or samples on the times; a unit step where omitted.
-    u: Mapping[str, float | Sequence[float]] | None = None
-    # t_end, points: end time in s and number of times; from the nominal poles where `t_end` is omitted
-    t_end: float | None = None
-    points: int = 401
+    u: Mapping[str, float | Sequence[float]] | None = (
+        None  # input -> number, or samples on the times; default: unit step
+    )
+    t_end: float | None = None  # end time in s; from the nominal poles where omitted
+    points: int = 401  # number of times
     hold: Literal["zoh", "foh"] = "zoh"  # input between samples
     starts: int = 64  # for searches: number of first points
     band: float = 0.02  # share of the final value that counts as settled
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
-            raise UsageError(
-                "campaign", f"kind {self.kind!r}", f"one of {', '.join(KINDS)}", did_you_mean(self.kind, KINDS)
-            )
+            expected = f"one of {', '.join(KINDS)}"
+            raise UsageError("campaign", f"kind {self.kind!r}", expected, did_you_mean(self.kind, KINDS))
         for name, low, high in (("n", 1, MAX_SAMPLES), ("seed", 0, 2**63), ("points", 2, 10**6), ("starts", 1, 10**6)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-                raise InputError("campaign", f"{name} is {value!r}", f"a whole number from {low} to {high}")
-        if self.t_end is not None and not 0 < self.t_end < float("inf"):
-            raise InputError("campaign", f"t_end is {self.t_end!r}", "a positive number of seconds")
+            checks.whole(f"campaign: {name}", getattr(self, name), low, high)
+        if self.t_end is not None:
+            checks.number("campaign: t_end", self.t_end, "a positive number of seconds", above=0)
 
     def to_json(self) -> dict[str, Any]:
-        data = asdict(self)
-        if self.u is not None:
-            data["u"] = {name: np.asarray(value, dtype=float).tolist() for name, value in self.u.items()}
-        return data
+        u = {name: np.asarray(value, dtype=float).tolist() for name, value in (self.u or {}).items()}
+        return {**asdict(self), "u": None if self.u is None else u}
 
 
 @dataclass(frozen=True)
@@ -107,7 +102,6 @@ class Identity:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over all three parts."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
@@ -115,7 +109,6 @@ class Identity:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Identity:
-        """Inverse of `to_json`."""
         return cls(data["model"], CampaignSettings(**data["settings"]), data["code"])
 
 
@@ -220,9 +213,8 @@ class Evaluator:
             if 2 ** len(reals) <= self.settings.n:
                 bits = index >> np.arange(len(reals))[::-1] & 1
             else:
-                bits = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, 2))).integers(
-                    0, 2, len(reals)
-                )
+                rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, 2)))
+                bits = rng.integers(0, 2, len(reals))
             signs = dict(zip(reals, (2.0 * bits - 1.0).tolist(), strict=True))
             found.append(encoded(blocks, delta_of_sample(blocks, seed, index, boundary=True) | signs))
         return np.array(found)
@@ -264,9 +256,8 @@ class Evaluator:
         seed = int(np.random.SeedSequence(s.seed, spawn_key=(index, 3)).generate_state(2)[0])
         found = worst_case(self.uncertain, **self._asked, n=s.starts, seed=seed, effort=UNLIMITED_EFFORT)
         if not found.status.trustworthy:
-            raise NoTrustworthyNumber(
-                "search", f"{found.status}: {found.search_value:.9g} found, {found.value:.9g} when evaluated again"
-            )
+            values = f"{found.search_value:.9g} found, {found.value:.9g} when evaluated again"
+            raise NoTrustworthyNumber("search", f"{found.status}: {values}")
         return found.value, dict(found.delta)
 
 

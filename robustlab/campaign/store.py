@@ -84,11 +84,8 @@ class Store:
         identity = Identity.of(uncertain, settings)
         with _named(path):
             db = sqlite3.connect(path, isolation_level=None)
-            store = cls(path, db)
-            db.execute("BEGIN IMMEDIATE")
-            db.execute(f"PRAGMA application_id={APPLICATION_ID}")
-            db.execute(f"PRAGMA user_version={FORMAT_VERSION}")
-            for statement in _TABLES:
+            store, numbers = cls(path, db), (f"application_id={APPLICATION_ID}", f"user_version={FORMAT_VERSION}")
+            for statement in ("BEGIN IMMEDIATE", *(f"PRAGMA {number}" for number in numbers), *_TABLES):
                 db.execute(statement)
             store.put("identity", json.dumps(identity.to_json(), sort_keys=True))
             store.put("hash", identity.hash)
@@ -127,10 +124,10 @@ class Store:
         if verdict != "ok":
             raise _damaged(self.where, str(verdict).splitlines()[-1])
         try:
-            hash_of_content = self.identity.hash
+            intact = self.identity.hash == self.get("hash")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _damaged(self.where, f"its settings cannot be read ({error})") from None
-        if hash_of_content != self.get("hash"):
+        if not intact:
             raise _damaged(self.where, "its settings do not match their hash")
 
     def close(self, *, finished: bool = False) -> None:
@@ -146,17 +143,14 @@ class Store:
     # --- campaign ----------------------------------------------------------------------------------------------------
 
     def put(self, name: str, value: str | bytes) -> None:
-        """Write one entry of the campaign's own table."""
         with _named(self.path):
             self._db.execute("INSERT OR REPLACE INTO campaign VALUES (?, ?)", (name, value))
 
     def get(self, name: str) -> Any:
-        """Return an entry of the campaign's own table, or None."""
         return next(self._asked("SELECT value FROM campaign WHERE name = ?", name), (None,))[0]
 
     @property
     def identity(self) -> Identity:
-        """Identity of the campaign."""
         return Identity.from_json(json.loads(self.get("identity")))
 
     def facts(self) -> dict[str, Any]:
@@ -166,22 +160,17 @@ class Store:
     # --- samples -----------------------------------------------------------------------------------------------------
 
     def save(self, rows: Rows) -> None:
-        """Write samples in one transaction."""
-        deltas, values = rows.deltas.astype("<f8"), list[tuple[Any, ...]]()
-        for i, (value, seconds) in enumerate(zip(rows.values.tolist(), rows.seconds.tolist(), strict=True)):
-            index = rows.first + i
+        values, columns = (
+            list[tuple[Any, ...]](),
+            (rows.values.tolist(), rows.deltas.astype("<f8"), rows.seconds.tolist()),
+        )
+        for index, (value, delta, seconds) in enumerate(zip(*columns, strict=True), rows.first):
             reason = rows.lost.get(index)
             status, number = (DONE, value) if reason is None else (LOST, None)
-            values.append((index, status, number, deltas[i].tobytes(), seconds, reason))
-        with _named(self.path):
-            try:
-                self._db.execute("BEGIN IMMEDIATE")
-                self._db.executemany("INSERT OR REPLACE INTO sample VALUES (?, ?, ?, ?, ?, ?)", values)
-                self._db.execute("COMMIT")
-            except sqlite3.Error:
-                if self._db.in_transaction:
-                    self._db.execute("ROLLBACK")
-                raise
+            values.append((index, status, number, delta.tobytes(), seconds, reason))
+        with _named(self.path), self._db:  # commits, or rolls back on an error
+            self._db.execute("BEGIN IMMEDIATE")
+            self._db.executemany("INSERT OR REPLACE INTO sample VALUES (?, ?, ?, ?, ?, ?)", values)
 
     def missing(self, n: int) -> list[tuple[int, int]]:
         """Return gaps ``(first, last)`` in 0 .. n - 1, each without its last index."""
@@ -198,7 +187,6 @@ class Store:
         return found.get(DONE, 0), found.get(LOST, 0)
 
     def lost(self, most: int) -> list[Sample]:
-        """Return the first lost samples."""
         return list(self.samples("WHERE status = ? ORDER BY idx LIMIT ?", LOST, most))
 
     def worst(self, sense: int) -> Sample | None:
@@ -211,11 +199,6 @@ class Store:
         worse = None if limit is None else sense * limit
         unbounded, beyond, seconds = next(self._asked(question, np.inf, sense, worse))
         return int(unbounded), int(beyond), seconds
-
-    def values(self) -> Iterator[float]:
-        """Stream the values."""
-        for (value,) in self._asked("SELECT value FROM sample WHERE status = ?", DONE):
-            yield value
 
     def digest(self) -> str:
         """Return SHA-256 over index, status, value, Delta and reason of all rows by index."""
@@ -233,7 +216,6 @@ class Store:
             yield Sample(index, status, np.nan if value is None else value, delta, reason or "")
 
     def _asked(self, question: str, *values: Any) -> Iterator[Any]:
-        """Stream the answer to a question."""
         with _named(self.path):
             yield from self._db.execute(question, values)
 
@@ -261,9 +243,8 @@ def _named(path: Path) -> Iterator[None]:
 
 
 def _damaged(where: str, what: str) -> InputError:
-    return InputError(
-        where, f"damaged campaign store: {what}", None, "copy it again from a backup, or start with --restart"
-    )
+    hint = "copy it again from a backup, or start with --restart"
+    return InputError(where, f"damaged campaign store: {what}", None, hint)
 
 
 @contextmanager
@@ -272,16 +253,16 @@ def locked(path: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout
 
     folder = path.absolute().parent
+    where, expected, lock = str(path), "a folder that can be written", FileLock(f"{path}.lock", timeout=0)
     if not folder.is_dir():  # the lock would create it
-        raise EnvironmentFault(str(path), f"no such folder {folder}", "a folder that can be written")
-    lock = FileLock(f"{path}.lock", timeout=0)
+        raise EnvironmentFault(where, f"no such folder {folder}", expected)
     try:
         lock.acquire()
     except Timeout:
-        raise EnvironmentFault(str(path), "locked by another run", None, "wait for it, or stop it") from None
+        raise EnvironmentFault(where, "locked by another run", None, "wait for it, or stop it") from None
     except (OSError, NotImplementedError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise EnvironmentFault(str(path), f"cannot be locked: {reason}", "a folder that can be written") from None
+        raise EnvironmentFault(where, f"cannot be locked: {reason}", expected) from None
     try:
         yield
     finally:

@@ -6,8 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "experiment": "propose_experiment",
-        "comparison.comparison": "compare",
-        "comparison.comparison_result": "Comparison OutputGap",
+        "comparison.comparison": "compare Comparison OutputGap",
         "comparison.envelope": "cover",
         "missing_effects.discovery": "discover",
         "missing_effects.discovery_result": (

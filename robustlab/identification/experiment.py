@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -99,39 +100,35 @@ def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> N
     plant, dt, u = problem.plant, problem.records[0].record.dt, chosen.trial.u
     outputs, units = [s.name for s in plant.outputs], {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
     sensors, added = (tuple(outputs[k] for k in columns) for columns in (chosen.sensors, chosen.added))
-    duration = len(u) * dt
-    text = f"{chosen.trial.text}. {duration:.3g} s in all, one sample every {1e3 * dt:.3g} ms; record "
-    text += ", ".join(sensors)
-    for name in added:
-        text += f" ({name} is new: a noise of {assumed[name]:.2g} {units[name]} a sample is assumed)"
+    new = [f" ({name} is new: a noise of {assumed[name]:.2g} {units[name]} a sample is assumed)" for name in added]
+    size = f"{len(u) * dt:.3g} s in all, one sample every {1e3 * dt:.3g} ms"
     return NextExperiment(
-        chosen.trial.name,
-        text,
-        _advice(chosen, fits, limits, units),
-        dt * np.arange(len(u), dtype=float),
-        {s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
-        {s.name: s.unit for s in plant.inputs},
-        duration,
-        sensors,
-        added,
-        {name: assumed[name] for name in added},
-        chosen.separation,
-        min(refit_distance(problem, *p) for pair in pairs for p in (pair, pair[::-1]) if not _contains(*p[::-1])),
-        _labels(fits),
+        name=chosen.trial.name,
+        description=f"{chosen.trial.text}. {size}; record {', '.join(sensors)}{''.join(new)}",
+        advice=_advice(chosen, fits, limits, units),
+        t=dt * np.arange(len(u), dtype=float),
+        inputs={s.name: u[:, k].copy() for k, s in enumerate(plant.inputs)},
+        units={s.name: s.unit for s in plant.inputs},
+        duration=len(u) * dt,
+        sensors=sensors,
+        added=added,
+        assumed_noise={name: assumed[name] for name in added},
+        separation=chosen.separation,
+        now=min(refit_distance(problem, *p) for pair in pairs for p in (pair, pair[::-1]) if not _contains(*p[::-1])),
+        hypotheses=_labels(fits),
     )
 
 
 # --- limits ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Limits:
-    """Range of each input, largest travel by index of the state, samples and beat of an experiment."""
+class _Limits(NamedTuple):
+    """Bounds of the menu's signals and of the motion."""
 
-    ranges: Mapping[str, tuple[float, float]]
-    travel: Mapping[int, float]
+    ranges: Mapping[str, tuple[float, float]]  # of each input
+    travel: Mapping[int, float]  # largest range of a state, by its index
     samples: int
-    beat: float
+    beat: float  # unit of all periods, s
 
 
 def _limits(problem: Problem) -> _Limits:
@@ -147,11 +144,8 @@ def _limits(problem: Problem) -> _Limits:
     for k, signal in enumerate(plant.inputs):
         low, high = (float(f([f(r.u[:, k]) for r in records])) for f in (np.min, np.max))
         ranges[signal.name] = (-max(abs(low), abs(high)), max(abs(low), abs(high))) if both_ways else (low, high)
-    travel = {
-        k: max(float(np.ptp(r.smoothed.x[:, k])) for r in records)
-        for k, (_, unit) in enumerate(plant.states)
-        if unit == "m"
-    }
+    lengths = [k for k, (_, unit) in enumerate(plant.states) if unit == "m"]
+    travel = {k: max(float(np.ptp(r.smoothed.x[:, k])) for r in records) for k in lengths}
     return _Limits(ranges, travel, samples, beat)
 
 
@@ -171,20 +165,18 @@ def _menu(lowest: float, highest: float, samples: int, dt: float, beat: float) -
     def sine(beats: float) -> Array:
         return np.sin(2.0 * np.pi * t / _rounded(beats * beat, dt))
 
-    def triangle(beats: float) -> Array:
-        return np.arcsin(sine(beats)) * 2.0 / np.pi
-
     rate = np.log(sweep[0] / sweep[1]) / cycle
     order = np.arange(1, max(2, int(cycle / fastest) + 1), 2)
     phase = -np.pi * np.arange(len(order)) ** 2 / len(order)
     multisine = np.cos(2.0 * np.pi * np.outer(t / cycle, order) + phase).sum(axis=1)
+    slow_triangle = np.arcsin(sine(8)) * 2.0 / np.pi
     shapes = {
         "one-way steps": held(1, 0.25, 0.6, 1, 0.4, 0.8),
         "levels both ways": held(1, 1, -1, 0.6, -0.6, 0.3, -0.3, 0.15, -0.15),
         "square wave": held(0.5, 1, -1),
         "small fast reversals": 0.15 * held(0.125, 1, -1),
-        "slow triangle through zero": 0.15 * triangle(8),
-        "slow triangle through zero, small": 0.06 * triangle(8),
+        "slow triangle through zero": 0.15 * slow_triangle,
+        "slow triangle through zero, small": 0.06 * slow_triangle,
         "small sine": 0.06 * sine(0.5),
         "sine sweep": 0.5 * np.sin(2.0 * np.pi * np.expm1(rate * (t % cycle)) / (rate * sweep[0])),
         "odd multisine": multisine / np.abs(multisine).max(),
@@ -200,8 +192,7 @@ def _rounded(seconds: float, dt: float) -> float:
 # --- the experiments as records --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
+class _Trial(NamedTuple):
     """A signal of the menu with the simulated candidates."""
 
     name: str
@@ -226,8 +217,7 @@ def _trials(problem: Problem, fits: Sequence[Fit], limits: _Limits) -> list[_Tri
                 u = np.tile([min(max(0.0, lo), hi) for lo, hi in limits.ranges.values()], (len(samples), 1))
                 u[:, k] = samples
                 text = f"{shape} {within} from rest, periods of {beat:.3g} s"
-                trial = _tried_out(problem, fits, name, text, u, limits)
-                if trial is not None:
+                if trial := _tried_out(problem, fits, name, text, u, limits):
                     found[name] = trial
     return list(found.values())
 
@@ -252,14 +242,14 @@ def _tried_out(problem: Problem, fits: Sequence[Fit], name: str, text: str, u: A
 
 def _noise(problem: Problem, present: NoiseModel, trials: Sequence[_Trial]) -> tuple[NoiseModel, dict[str, float]]:
     """Return the averaged noise of all outputs, estimated where recorded, else assumed; and the assumed per sample."""
-    spans = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0)
+    spans, outputs = np.max([np.ptp(t.outputs, axis=0) for t in trials], axis=0), problem.plant.outputs
     std = ASSUMED_NOISE * np.where(spans > 0.0, spans, 1.0)
-    assumed = {s.name: float(v) for s, v in zip(problem.plant.outputs, std, strict=True)}
+    assumed = {s.name: float(v) for s, v in zip(outputs, std, strict=True)}
     std /= np.sqrt(problem.records[0].thin)
     ar = np.zeros((len(present.ar), len(std)))
     for j, k in enumerate(problem.records[0].columns):
         std[k], ar[:, k] = present.std[j], present.ar[:, j]
-        del assumed[problem.plant.outputs[k].name]
+        del assumed[outputs[k].name]
     return NoiseModel(std, ar), assumed
 
 
@@ -300,8 +290,7 @@ def _shares_of_outputs(problem: Problem) -> dict[int, Array]:
 # --- distances -------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Entry:
+class _Entry(NamedTuple):
     """An experiment with its sensors and its smallest d."""
 
     trial: _Trial
@@ -338,7 +327,6 @@ def _screened(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseMo
 
 
 def _refitted(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseModel, entry: _Entry) -> _Entry:
-    """Return the entry with the distances of full refits."""
     sensors, distances = list(entry.sensors), []
     own = NoiseModel(noise.std[sensors], noise.ar[:, sensors])
     for true, other in pairs:
@@ -347,7 +335,7 @@ def _refitted(problem: Problem, pairs: Sequence[tuple[Fit, Fit]], noise: NoiseMo
         cost = there.fit(rival.hypothesis, own, rival.z, rival.starts, FitPlan(REFIT_ITERATIONS)).cost
         distances.append(float(np.sqrt(max(0.0, cost - float(rival.z @ rival.z)))))
     close = frozenset(fit for pair, d in zip(pairs, distances, strict=True) if d < SAFE for fit in pair)
-    return replace(entry, separation=min(distances), close=close)
+    return entry._replace(separation=min(distances), close=close)
 
 
 def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
@@ -358,21 +346,16 @@ def _from_rest(fit: Fit, there: Problem, noise: NoiseModel) -> Fit:
 
 def _contains(rich: Fit, poor: Fit) -> bool:
     """Check that the rich candidate has all effects of the poor one, or refinements of them."""
-
-    def has(effect: str, site: object) -> bool:
-        own = rich.hypothesis.candidates
-        return any(c.site == site and effect in (c.effect.id, c.effect.refines) for c in own)
-
-    return all(has(c.effect.id, c.site) for c in poor.hypothesis.candidates)
+    own = {(name, c.site) for c in rich.hypothesis.candidates for name in (c.effect.id, c.effect.refines)}
+    return own >= {(c.effect.id, c.site) for c in poor.hypothesis.candidates}
 
 
 def _linearised_distance(columns: Array, z: Array) -> float:
     """Compute d after one Gauss-Newton step of the rival, starts eliminated; columns (windows, points, z starts r)."""
     n_z, products = len(z), np.swapaxes(columns, 1, 2) @ columns
-    inner = products[:, n_z:-1, n_z:-1] + np.eye(products.shape[1] - n_z - 1)
-    rest = np.concatenate([products[:, :n_z], products[:, -1:]], axis=1)
-    over = rest[:, :, n_z:-1]  # of z and r with the starts
-    both = np.concatenate([rest[:, :, :n_z], rest[:, :, -1:]], axis=2)
+    own, starts = [*range(n_z), -1], slice(n_z, -1)
+    inner = products[:, starts, starts] + np.eye(products.shape[1] - n_z - 1)
+    over, both = products[:, own, starts], products[:, own][:, :, own]  # of z and r with the starts; of these alone
     left = (both - over @ np.linalg.solve(inner, np.swapaxes(over, 1, 2))).sum(axis=0)
     hessian, gradient = np.eye(n_z) + left[:-1, :-1], z + left[:-1, -1]
     gained = left[-1, -1] - gradient @ np.linalg.solve(hessian, gradient)
@@ -394,16 +377,13 @@ def _labels(fits: Sequence[Fit]) -> tuple[str, ...]:
 def _advice(entry: _Entry, fits: Sequence[Fit], limits: _Limits, units: Mapping[str, str]) -> str:
     if entry.separation >= SAFE:
         return ""
-    within = ", ".join(
-        f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()
-    )
+    ranges = [f"{name} between {lo:.3g} and {hi:.3g} {units[name]}" for name, (lo, hi) in limits.ranges.items()]
     close = {label: f for label, f in zip(_labels(fits), fits, strict=True) if f in entry.close}
-    effects = dict.fromkeys(
-        c.effect for label, f in close.items() for c in f.hypothesis.candidates if c.effect.id in label
-    )
+    own = [(label, c.effect) for label, f in close.items() for c in f.hypothesis.candidates]
+    effects = dict.fromkeys(effect for label, effect in own if effect.id in label)
     ways = [f"{effect.id}: {effect.independently}" for effect in effects if effect.independently]
     word = "this may, but need not, separate"
     if entry.separation < tuning.CANNOT_TELL:
         word = "nothing on the menu separates"
-    text = f"{word} {' and '.join(sorted(close))} with {within}"
+    text = f"{word} {' and '.join(sorted(close))} with {', '.join(ranges)}"
     return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text

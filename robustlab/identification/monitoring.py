@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from itertools import pairwise
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,11 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import one_thread
 from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import EffectParameter, Scales
+from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedEquations
-from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
+from robustlab.dynamics.ports.port_model import AnyPlant
+from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import tuning
 from robustlab.identification.data_checks.resampling import clock_step, uniform
 from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
@@ -64,69 +65,46 @@ NEGLIGIBLE = 1e-9  # of a column's own square: rounding
 class WatchedPiece(Evidence):
     """One piece of the log."""
 
-    # start, stop: its time in the log, s
-    start: float
+    start: float  # its time in the log, s
     stop: float
-    evidence: float  # log of E after it; the alarm threshold is ``-log(false_alarm)``
+    evidence: float  # log of E after it; an alarm from ``-log(false_alarm)`` on
     misfit: float  # root mean square of its errors with the learned model, over the noise
 
 
 @dataclass(frozen=True)
 class Watch(Tabular, Evidence):
-    """Result of `watch`.
+    """Result of `watch`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED: the alarm, or its absence, is valid at the stated rate. INCONCLUSIVE: no alarm, but the test could
-        use less than half of the windows.
-    verdict
-        ``"explained"``: no alarm; ``"changed"``: an alarm.
-    false_alarm
-        Requested probability of an alarm in the whole log while the model explains it.
-    alarm
-        Time of the alarm in the log in s, the end of its piece; NaN without one.
-    since, since_lower, since_upper
-        Estimated onset of the change, s, and its 95 % interval: beginnings of pieces.
-    found
-        Effects that the plant without its own lacks in the pieces since the change (`discover`): compare them with the
-        effects and parameters of the model. None without an alarm, and if those pieces are too poor.
-    pieces
-        The pieces in their order.
-    noise
-        Output -> standard deviation of its noise in one sample, as stated.
-    plant, window
-        The model; the length of the windows in s.
-    tested
-        Share of the windows that the test used, 0..1; in the others the model is not linear within the uncertainty of
-        its parameters after the first piece (a contact about to break away).
-    """
-
+    # CONVERGED: the alarm, or its absence, is valid at the stated rate. INCONCLUSIVE: no alarm, but the test could use
+    # less than half of the windows.
     status: Status
-    verdict: Literal["explained", "changed"]
-    false_alarm: float
-    alarm: float
+    verdict: Literal["explained", "changed"]  # no alarm, an alarm
+    false_alarm: float  # requested probability of an alarm in the whole log while the model explains it
+    alarm: float  # time in the log in s, the end of its piece; NaN without one
+    # estimated onset of the change, s, and its 95 % interval: beginnings of pieces
     since: float
     since_lower: float
     since_upper: float
+    # Effects that the plant without its own lacks in the pieces since the change: compare them with the effects and
+    # parameters of the model. None without an alarm, and if those pieces are too poor.
     found: Discovery | None
     pieces: tuple[WatchedPiece, ...]
-    noise: Mapping[str, float]
-    plant: str
-    window: float
+    noise: Mapping[str, float]  # output -> standard deviation of its noise in one sample, as stated
+    plant: str  # the model
+    window: float  # length of the windows, s
+    # Share of the windows that the test used; in the others the model is not linear within the uncertainty of its
+    # parameters after the first piece (a contact about to break away).
     tested: float
 
     quantities: ClassVar[Mapping[str, Any]] = {
         "verdict": str,
         "met": bool,
         **dict.fromkeys(("alarm", "since", "since_lower", "since_upper", "window"), "s"),
-        "evidence": "1",
-        "tested": "1",
+        **dict.fromkeys(("evidence", "tested"), "1"),
     }
 
     @property
     def met(self) -> bool:
-        """Whether the model explains the log from beginning to end."""
         return self.verdict == "explained"
 
     @property
@@ -156,17 +134,14 @@ class Watch(Tabular, Evidence):
         ]
 
     def table(self) -> Table:
-        """Return a row for each piece."""
         columns = {name: [getattr(p, name) for p in self.pieces] for name in ("stop", "evidence", "misfit")}
         return Table(("start", [p.start for p in self.pieces]), columns)
 
 
 def span_of(seconds: float) -> str:
     """Format a time of a log: ``38.5 s``, ``41.2 min``, ``3.1 h``."""
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if abs(seconds) >= 2.0 * size:
-            return f"{seconds / size:.1f} {unit}"
-    return f"{seconds:.4g} s"
+    unit, size = ("h", 3600.0) if abs(seconds) >= 7200.0 else ("min", 60.0)
+    return f"{seconds / size:.1f} {unit}" if abs(seconds) >= 120.0 else f"{seconds:.4g} s"
 
 
 @one_thread()
@@ -186,14 +161,14 @@ def watch(
     While the model explains the log, :math:`P(\exists t: E_t \ge 1/\alpha) \le \alpha` for the test's E (Ville's
     inequality), for any length of the log and at any time.
 
-    ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``. The parameters are
-    constant, and the model is linear within their uncertainty after the first piece; windows in which it is not are
-    excluded. A drift of the state that is slower than a window is no change.
+    ASSUMPTIONS: the sensors' noise is white and Gaussian of the standard deviation ``noise``; the parameters are
+    constant, and the model is linear within their uncertainty after the first piece (windows in which it is not are
+    excluded). A drift of the state that is slower than a window is no change.
 
     Parameters
     ----------
     model
-        A plant, a plant with effects (what `discover` updated), or a continuous model as `discover` takes it.
+        A plant, also with effects (what `discover` updated), or a continuous model as `discover` takes it.
     records
         The log in pieces, in their order, or one record; an iterator yields the next piece after the last one has
         been evaluated. All have the sample time and the outputs of the first.
@@ -229,50 +204,38 @@ def watch(
         checks.number("watch: every", every, "a length in s above 0", above=0.0)
     extended = isinstance(model, ExtendedEquations)
     plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
-    left_out = tuple(effect(name).id for name in exclude)
-    given = [records] if isinstance(records, Record) else records
-    watched: _Watched | None = None
-    alarm, highest = -np.log(false_alarm), -np.inf
-    onsets: Array | None = None  # evidence of each onset once an alarm is clear
-    for piece in _pieces(given, every):
+    left_out, watched = tuple(effect(name).id for name in exclude), None
+    alarm, highest, onsets = -np.log(false_alarm), -np.inf, None  # evidence of each onset once an alarm is clear
+    for piece in _pieces([records] if isinstance(records, Record) else records, every):
         watched = watched or _Watched(plant, attached, noise, piece)
         evidence = watched.add(piece)
         if max(alarm, highest) <= evidence and highest < alarm + CLEAR:
             highest, onsets = evidence, watched.test.evidence()
         if progress is not None:
-            word = "ALARM: " if evidence >= alarm else ""
-            count = len(watched.pieces)
-            progress(f"{word}piece {count}, up to {watched.pieces[-1].stop:.6g} s: log E = {evidence:.2f}")
+            word, stop = "ALARM: " if evidence >= alarm else "", watched.pieces[-1].stop
+            progress(f"{word}piece {len(watched.pieces)}, up to {stop:.6g} s: log E = {evidence:.2f}")
     if watched is None or len(watched.pieces) < 2:
         hint = "one record is cut into pieces by every=SECONDS"
         raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
-    result = Watch(
-        Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED, "explained", false_alarm,
-        np.nan, np.nan, np.nan, np.nan, None, pieces, watched.sizes, plant.name, watched.length * watched.dt, used,
-    )  # fmt: skip
-    if onsets is None:
-        return result
-    began, lower, upper = onset(onsets)
-    # A change may begin too late within a piece to be visible there.
-    since, since_lower, since_upper = (pieces[k].start for k in (began, max(lower - 1, 0), upper))
-    found = None
-    with suppress(InputError, NoTrustworthyNumber):  # too poor
-        last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
-        found = discover(plant, last, exclude=left_out)
-    stop = next(p.stop for p in pieces if p.evidence >= alarm)
-    return replace(
-        result, verdict="changed", alarm=stop, since=since, since_lower=since_lower, since_upper=since_upper,
-        found=found,
+    since, found = [np.nan] * 3, None
+    if onsets is not None:
+        began, lower, upper = onset(onsets)
+        # A change may begin too late within a piece to be visible there.
+        since = [pieces[k].start for k in (began, max(lower - 1, 0), upper)]
+        with suppress(InputError, NoTrustworthyNumber):  # too poor
+            last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
+            found = discover(plant, last, exclude=left_out)
+    return Watch(
+        Status.INCONCLUSIVE if onsets is None and used < 0.5 else Status.CONVERGED,
+        "explained" if onsets is None else "changed", false_alarm,
+        next((p.stop for p in pieces if p.evidence >= alarm), np.nan), *since, found, pieces,
+        watched.sizes, plant.name, watched.length * watched.dt, used,
     )  # fmt: skip
 
 
 def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
-    """Yield the pieces on the time base of the log.
-
-    A remainder of less than half a piece joins the last one of its record; a record that does not begin after the end
-    of the last is appended to it.
-    """
+    """Yield the pieces on the time base of the log; records that do not begin after the last one are appended to it."""
     end: float | None = None
     for record in records:
         if not isinstance(record, Record):
@@ -280,13 +243,14 @@ def _pieces(records: Iterable[Record], every: float | None) -> Iterator[Record]:
         if end is not None and record.t[0] <= end:
             record = replace(record, t=record.t - record.t[0] + end + record.dt)
         end = float(record.t[-1])
+        # A remainder of less than half a piece joins the last one.
         count = 1 if every is None else max(1, round(record.duration / every))
         if every is None or count == 1:
             yield record
-            continue
-        edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
-        for k in range(count):
-            yield replace(record.between(edges[k], edges[k + 1]), name=f"{record.name}, piece {k + 1}")
+        else:
+            edges = [*(record.t[0] + every * (np.arange(count) - 1e-9)), np.inf]
+            for k, (start, stop) in enumerate(pairwise(edges), 1):
+                yield replace(record.between(start, stop), name=f"{record.name}, piece {k}")
 
 
 class _Watched:
@@ -301,11 +265,17 @@ class _Watched:
         if first.n < least:
             raise InputError(f"watch {first.name}", f"{first.n} samples", f"at least {least} in a piece")
         record, _ = self._uniform(first)
-        self.model: PortModel = ports_of(plant, record)
+        self.model = ports_of(plant, record)
         self.length = window_length(plant, [record], self.model)
         prepared = self._prepared(first)
         self.thin = prepared.thin
-        self.sizes = _noise_of([plant.outputs[k].name for k in prepared.columns], noise)
+        names = [plant.outputs[k].name for k in prepared.columns]
+        for name in (*noise, *names):
+            checks.choice("watch: noise", name, names)
+            if name not in noise:
+                raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
+        expected = "a standard deviation above 0"
+        self.sizes = {n: checks.number(f"watch: noise of {n}", noise[n], expected, above=0.0) for n in names}
         self.noise = NoiseModel(np.array([*self.sizes.values()]) / np.sqrt(self.thin), np.zeros((0, len(self.sizes))))
         nuisances = nuisance_parameters(plant, stated_tolerances(plant, None))
         nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
@@ -313,8 +283,7 @@ class _Watched:
         self.hypothesis = Hypothesis(tuple(_own(e, pool) for e in attached))
         problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
         z = np.zeros(problem.size(self.hypothesis))
-        fit = problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE))
-        fit, problem = held_inputs(problem, fit)
+        fit, problem = held_inputs(problem, problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE)))
         self.problem = problem.under(replace(problem.clock, sub=STEPS))
         learned = self.problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
         self.z = learned.z
@@ -323,11 +292,9 @@ class _Watched:
         # A usual change of each standardised parameter: a log factor of one if it scales; 0 for clocks.
         usual = [0.0 if n.input else 1.0 if n.additive else 1.0 / n.spread for n in self.problem.nuisances]
         own = [p.prior for c in self.hypothesis.candidates for p in c.parameters]
-        usual += [1.0 / prior.spread if prior.kind == "log" else 1.0 for prior in own]
-        self.test = ChangeTest(np.array(usual))
-        self.records: list[Record] = []
+        self.test = ChangeTest(np.array([*usual, *(1.0 / p.spread if p.kind == "log" else 1.0 for p in own)]))
+        self.records, self.pieces = list[Record](), list[WatchedPiece]()
         self.windows = [0, 0]  # used by the test, and all
-        self.pieces: list[WatchedPiece] = []
 
     def add(self, piece: Record) -> float:
         """Fit the initial states of one more piece and update the test; return log E."""
@@ -354,40 +321,27 @@ class _Watched:
         return prepare(self.plant, self.model, record, self.length, valid, self.outputs)
 
 
-def _noise_of(names: Sequence[str], stated: Mapping[str, float]) -> dict[str, float]:
-    """Return the stated noise of each recorded output."""
-    for name in stated:
-        if name not in names:
-            raise unknown_name("watch: noise", f"{name!r}", name, names)
-    for name in names:
-        if name not in stated:
-            raise InputError("watch: noise", f"none of {name!r}", "one for each recorded output")
-        checks.number(f"watch: noise of {name}", stated[name], "a standard deviation above 0", above=0.0)
-    return {name: float(stated[name]) for name in names}
-
-
 def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
     """Make an effect of the model a candidate to be refitted, with priors about its present values."""
     known = next((c for c in pool if (c.effect, c.site) == (there.effect, there.site)), None)
-    parameters = there.parameters if known is None else known.parameters  # with the units of its joint
-    parameters = tuple(_about(p, there.values[p.name], there.std.get(p.name, 0.0)) for p in parameters)
-    return Candidate(there.effect, there.site, parameters, (dict(there.values),), known.scales if known else Scales())
-
-
-def _about(parameter: EffectParameter, value: float, std: float) -> EffectParameter:
-    prior, centre, spread = parameter.prior, value, parameter.prior.spread
-    if prior.kind == "log":
-        centre, spread = value or np.finfo(float).tiny ** 0.25 * prior.centre, OWN_SPREAD
-    elif prior.kind == "linear":
-        spread = std or OWN_SPREAD * abs(value) or prior.spread
-    return replace(parameter, prior=replace(prior, centre=centre, spread=spread))
+    parameters = []
+    for p in known.parameters if known else there.parameters:  # of the pool: with the units of its joint
+        prior, value = p.prior, there.values[p.name]
+        if prior.kind == "log":
+            prior = replace(prior, centre=value or np.finfo(float).tiny ** 0.25 * prior.centre, spread=OWN_SPREAD)
+        else:
+            std = there.std.get(p.name, 0.0) or OWN_SPREAD * abs(value) if prior.kind == "linear" else 0.0
+            prior = replace(prior, centre=value, spread=std or prior.spread)
+        parameters.append(replace(p, prior=prior))
+    scales = known.scales if known else Scales()
+    return Candidate(there.effect, there.site, tuple(parameters), (dict(there.values),), scales)
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
-    """Set up a piece's equations for the parameters about its fit, and count the windows used.
+    """Return a piece's equations about its fit, and the number of windows used.
 
-    Excluded: windows in which the even part of the parameter steps ``spread`` (k, m), or halved time steps, change the
-    residuals, with free initial states, by more than `MOST_BENT` (a contact about to break away).
+    Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
+    residuals by more than `MOST_BENT` (a contact about to break away).
     """
 
     def residual(z: Array, problem: Problem = problem) -> Array:
@@ -396,14 +350,11 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
     here = residual(fit.z)
     ((over_z, over_x),) = problem.derivatives(fit)
     free = np.linalg.qr(over_x)[0]  # response to the initial states
-    halved = problem.under(replace(problem.clock, sub=2 * (problem.clock.sub or 1)))
+    halved = problem.under(replace(problem.clock, sub=2 * STEPS))
     steps = [residual(fit.z, halved), *(0.5 * (residual(fit.z + step) + residual(fit.z - step)) for step in spread.T)]
     changes = np.stack([step - here for step in steps], axis=2)
     changes -= free @ (np.swapaxes(free, 1, 2) @ changes)
     kept = ((changes**2).sum(axis=1) < MOST_BENT).all(axis=1)
-    if not kept.any():
-        zero = np.zeros((len(fit.z) + 1,) * 2)
-        return PieceEquations(zero, zero, 0, 0), 0
     here, over_z, over_x = here[kept], over_z[kept], over_x[kept]
     columns = np.nan_to_num(np.concatenate([over_z, here[:, :, None]], axis=2), posinf=0.0, neginf=0.0)
     known, n_y = here != 0.0, len(fit.noise.std)
@@ -422,8 +373,7 @@ def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquation
 # --- the sequential test ---------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class PieceEquations:
+class PieceEquations(NamedTuple):
     """A piece with M = [J r], (points, k + 1), its windows' initial states projected out."""
 
     whole: Array  # M^T M
@@ -440,9 +390,8 @@ class ChangeTest:
     pieces: list[PieceEquations] = field(default_factory=list)
 
     def add(self, piece: PieceEquations) -> float:
-        """Return log E after one more piece."""
         self.pieces.append(piece)
-        return float(np.logaddexp(log_sum(self.evidence()), -np.log(len(self.pieces) + 1.0)))
+        return float(np.logaddexp(np.logaddexp.reduce(self.evidence()), -np.log(len(self.pieces) + 1.0)))
 
     def evidence(self) -> Array:
         """Compute the log evidence of a change from each piece on, with its prior share, (n_tau,)."""
@@ -450,65 +399,52 @@ class ChangeTest:
         may = self.size > 0.0
         named = self._strengths() + np.log((1.0 - UNNAMED) / 2.0 / max(may.sum(), 1))
         named[0], named[:, :, ~may] = -np.inf, -np.inf  # from the first piece on it is no change
-        kinds = ([(p.slow, p.slow_points) for p in self.pieces], [(p.whole, p.points) for p in self.pieces])
-        scatter = [
-            self._scatter(np.stack([part for part, _ in kind]), np.array([number for _, number in kind]), v)
-            for kind in kinds
-            for v in SCATTERS
-        ]
-        unnamed = log_sum(np.array(scatter), axis=0) - np.log(len(scatter)) + np.log(UNNAMED)
+        whole, slow, points, slow_points = (np.array(column) for column in zip(*self.pieces, strict=True))
+        scatter = [self._scatter(*kind, v) for kind in ((slow, slow_points), (whole, points)) for v in SCATTERS]
+        unnamed = _log_mean(scatter) + np.log(UNNAMED)
         both = np.concatenate([named.reshape(len(tau), -1), unnamed[:, None]], axis=1)
-        return log_sum(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
+        return np.logaddexp.reduce(both, axis=1) - np.log((tau + 1.0) * (tau + 2.0))
 
     def _strengths(self) -> Array:
         """Compute the log ratio of an abrupt or growing change of each parameter, (n_tau, 2, k)."""
-        k, whole = len(self.size), np.stack([p.whole for p in self.pieces])
-        once = _since(whole)  # sums over the pieces since each one, next weighted with 1, 2, ..., then 1, 3, 6, ...
-        growing = _since(once)
+        k = len(self.size)
+        once = _since(np.stack([p.whole for p in self.pieces]))  # sums over the pieces since each one
+        growing = _since(once)  # the same weighted with 1, 2, ...
         squares = np.diagonal(np.stack([once, 2.0 * _since(growing) - growing], axis=1), axis1=2, axis2=3)[..., :k]
         rows = np.stack([once, growing], axis=1)[:, :, :k]  # (n_tau, 2, k, k + 1)
         inverse = np.linalg.inv(once[0, :k, :k] + DIFFUSE * np.eye(k))
         cross = rows[..., :k]
-        lost = ((cross @ inverse) * cross).sum(axis=-1)
-        a = np.maximum(squares - lost, 0.0) + NEGLIGIBLE * squares
+        a = np.maximum(squares - ((cross @ inverse) * cross).sum(axis=-1), 0.0) + NEGLIGIBLE * squares
         b = rows[..., k] - cross @ (inverse @ once[0, :k, k])
-        found = []
-        for size in SIZES:
-            variance = (size * self.size / np.array([[1.0], [GROWING]])) ** 2
-            found.append(0.5 * b**2 * variance / (1.0 + a * variance) - 0.5 * np.log1p(a * variance))
-        return log_sum(np.array(found), axis=0) - np.log(len(SIZES))
+        variances = [(size * self.size / np.array([[1.0], [GROWING]])) ** 2 for size in SIZES]
+        return _log_mean([0.5 * b**2 * v / (1.0 + a * v) - 0.5 * np.log1p(a * v) for v in variances])
 
     def _scatter(self, parts: Array, points: Array, variance: float) -> Array:
         """Compute the log ratio, (n_tau,), of random errors with this variance in the directions of the parts."""
         k, whole = len(self.size), np.sum([p.whole for p in self.pieces], axis=0)
-        part, number = _since(parts), _since(points)
-        before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * part, k)
-        return -0.5 * (after[0] - before[0] + after[1] - before[1] + number * np.log1p(variance))
+        before, after = _profile(whole, k), _profile(whole - variance / (1.0 + variance) * _since(parts), k)
+        return -0.5 * (after - before + _since(points) * np.log1p(variance))
 
 
 def onset(evidence: Array) -> tuple[int, int, int]:
     """Return the piece at which the change most probably began, and the ends of its 95 % interval."""
-    share = np.exp(evidence - log_sum(evidence))
+    share = np.exp(evidence - np.logaddexp.reduce(evidence))
     below = np.cumsum(share)
-    lower, upper = (min(int(np.searchsorted(below, q)), len(below) - 1) for q in (0.025, 0.975))
+    lower, upper = np.minimum(np.searchsorted(below, (0.025, 0.975)), len(below) - 1).tolist()
     return int(np.argmax(share)), lower, upper
 
 
 def _since(values: Array) -> Array:
-    """Sum from each entry of the first axis to its end."""
     return np.cumsum(values[::-1], axis=0)[::-1]
 
 
-def log_sum(logs: Array, axis: int | None = None) -> Array:
-    """Sum numbers given by their logarithms, along an axis or over all."""
-    from scipy.special import logsumexp
-
-    return np.asarray(logsumexp(logs, axis=axis))
+def _log_mean(logs: Sequence[Array]) -> Array:
+    """Average numbers given by their logarithms, over the first axis."""
+    return np.logaddexp.reduce(np.array(logs)) - np.log(len(logs))
 
 
-def _profile(sums: Array, k: int) -> tuple[Array, Array]:
-    """Minimise the cost over k parameters; also the log determinant of their information; ``sums`` (..., k+1, k+1)."""
-    information = sums[..., :k, :k] + DIFFUSE * np.eye(k)
-    right = sums[..., :k, k]
-    cost = sums[..., k, k] - (right * np.linalg.solve(information, right[..., None])[..., 0]).sum(axis=-1)
-    return cost, np.linalg.slogdet(information)[1]
+def _profile(sums: Array, k: int) -> Array:
+    """Return the least cost over k parameters plus the log determinant of their information; (..., k+1, k+1)."""
+    information, right = sums[..., :k, :k] + DIFFUSE * np.eye(k), sums[..., :k, k]
+    explained = (right * np.linalg.solve(information, right[..., None])[..., 0]).sum(axis=-1)
+    return sums[..., k, k] - explained + np.linalg.slogdet(information)[1]

@@ -168,7 +168,7 @@ def sample(
     return InLoop(members.respond(**driven), beside={"seed": seed, "vertices": members.vertices})
 
 
-RESULT, STORE = "campaign.campaign_result.CampaignResult", "Store of a campaign (SQLite)."
+RESULT, STORE = "campaign.runs.CampaignResult", "Store of a campaign (SQLite)."
 Store = Annotated[str, TextFile(), STORE]
 Bound = Annotated[float | None, Number(), "Count how often the metric is worse than this."]
 

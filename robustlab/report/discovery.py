@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.comparison.comparison_result import Comparison
+from robustlab.identification.comparison.comparison import Comparison
 from robustlab.identification.comparison.error_analysis import Bin
 from robustlab.identification.missing_effects.discovery_result import Discovery, Gap
 from robustlab.identification.missing_effects.residual_force import ForceCurve, ResidualForce

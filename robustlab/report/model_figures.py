@@ -29,8 +29,7 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis import sample
-from robustlab.worst_case_analysis.sampling import Samples
+from robustlab.worst_case_analysis.sampling import Samples, sample
 
 MEMBERS, ALL_VERTICES, VERTICES = 30, 5, 32  # members drawn; vertices besides: all of up to 5 blocks, else so many
 MOST = 4  # outputs or inputs side by side

@@ -20,13 +20,13 @@ from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins
 from robustlab.norms import PeakGain
 from robustlab.report import style
 from robustlab.uncertainty.covers import Overbound, error_sizes
-from robustlab.worst_case_analysis import WorstCase
+from robustlab.worst_case_analysis.worst_case_search import WorstCase
 
 if TYPE_CHECKING:
-    from robustlab.campaign.campaign_result import CampaignResult
+    from robustlab.campaign.runs import CampaignResult
     from robustlab.identification.comparison.envelope import EnvelopeCoverage
     from robustlab.identification.validation import Validation
-    from robustlab.identification.validation.data_cover import DataCover
+    from robustlab.identification.validation.model_validation import DataCover
     from robustlab.mu_analysis.axis.margin import CriticalResponse, Margin, WorstCaseGain
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginAt, GainAt, MarginAt
     from robustlab.mu_analysis.margins.cover import Cover

@@ -51,13 +51,12 @@ def excitation(
     ``u``: name -> number or samples (n_t,), other inputs are zero; or an array (n_t,), or (n_t, n_u);
     None for a unit step on the only input.
     """
-    clock = real_array("t", t, 1, where)
-    n, names = len(clock), [s.name for s in inputs]
-    if n < 2:
-        raise InputError(where, f"t has {n} samples", "at least 2")
+    clock, names = real_array("t", t, 1, where), [s.name for s in inputs]
+    n = len(clock)
+    if n < 2 or clock[-1] <= clock[0] or not is_uniform(clock):
+        hint = "use numpy.linspace(0, t_end, n)"
+        raise InputError(where, "t is not uniform", "at least 2 increasing times with one step", hint)
     h = float((clock[-1] - clock[0]) / (n - 1))
-    if h <= 0 or not is_uniform(clock):
-        raise InputError(where, "t is not uniform", "increasing times with one step", "use numpy.linspace(0, t_end, n)")
     if dt and abs(h - dt) > SAMPLE_TIME_TOLERANCE * dt:
         raise InputError(where, f"t has a step of {h:.9g} s", f"the discrete model's sample time {dt:.9g} s")
     if u is None:
@@ -74,11 +73,6 @@ def excitation(
 
 
 # --- Deltas -----------------------------------------------------------------------------------------------------------
-
-
-def is_count(value: Any, least: int) -> bool:
-    """Return whether a number of samples, vertices or threads, or a seed, is an integer >= ``least``."""
-    return not isinstance(value, bool) and isinstance(value, (int, np.integer)) and int(value) >= least
 
 
 class Deltas(Sequence[Mapping[str, Any]]):
@@ -136,17 +130,14 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
         hint = "ask for a number of vertices"
         raise InputError("sample", f"all vertices of {k} real deltas (2^{k})", f"at most 2^{MAX_LISTED}", hint)
     number = 2**k if count == "all" else count
-    if number == 0:
-        return np.zeros((0, k))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0, 2)))
-    if k > MAX_LISTED:
-        # Equal draws are rare among so many vertices; duplicates are dropped.
+    if k > MAX_LISTED:  # equal draws are rare among so many vertices; duplicates are dropped
         drawn = rng.integers(0, 2, (number, k))
         bits = drawn[np.sort(np.unique(drawn, axis=0, return_index=True)[1])]
     else:
         order = np.arange(2**k) if number >= 2**k else rng.permutation(2**k)[:number]
         bits = (order[:, None] >> np.arange(k)[::-1]) & 1
-    return real_array("vertices", 2 * bits - 1, 2)
+    return 2.0 * bits - 1.0
 
 
 # --- members ----------------------------------------------------------------------------------------------------------
@@ -156,26 +147,25 @@ def vertex_signs(k: int, count: int | Literal["all"], seed: int) -> Array:
 class Ensemble:
     """k members of an uncertain model; real, or complex where a Delta is."""
 
-    # A, B, C, D: shapes (k, n_x, n_x), (k, n_x, n_u), (k, n_y, n_x), (k, n_y, n_u)
-    A: NDArray[Any]
-    B: NDArray[Any]
-    C: NDArray[Any]
-    D: NDArray[Any]
+    A: NDArray[Any]  # (k, n_x, n_x)
+    B: NDArray[Any]  # (k, n_x, n_u)
+    C: NDArray[Any]  # (k, n_y, n_x)
+    D: NDArray[Any]  # (k, n_y, n_u)
     dt: float  # sample time in s
-    ill_posed: Mask  # shape (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
-    # Powers of two that balance the nominal model's states, shape (n_x,): the same for every member, so that a
-    # member's response does not depend on which others are computed with it.
+    ill_posed: Mask  # (k,): where I - D11 Delta is singular. The matrices there are those of the nominal model.
+    # Powers of two that balance the nominal model's states, (n_x,): a member's response must not depend on which others
+    # are computed with it.
     scale: Array
 
     def __len__(self) -> int:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
-        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
+        matrices = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(*matrices, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
-        """Return `StateSpaceModel.spectral_abscissa` of every member, shape (k,); ``inf`` where ill-posed."""
+        """Return `StateSpaceModel.spectral_abscissa` of every member, (k,); ``inf`` where ill-posed."""
         poles = np.linalg.eigvals(self.A)
         value = np.abs(poles) - 1.0 if self.dt else poles.real
         return np.where(self.ill_posed, np.inf, value.max(axis=1, initial=-np.inf))
@@ -192,7 +182,6 @@ class Ensemble:
 
 
 def blocks_of(count: int, size: int) -> list[slice]:
-    """Split ``range(count)`` into blocks."""
     return [slice(first, min(first + size, count)) for first in range(0, count, size)]
 
 
@@ -221,8 +210,8 @@ class MemberSet:
 
     def deltas(self, theta: Array) -> NDArray[Any]:
         """Return Deltas (k, q, p) at coordinates (k, d); blocks outside their ball are projected onto it."""
-        dtype = float if all(b.is_real for b in self.blocks) else complex
-        delta = np.zeros((len(theta), *structure_size(self.blocks)), dtype=dtype)
+        kind = float if all(b.is_real for b in self.blocks) else complex
+        delta = np.zeros((len(theta), *structure_size(self.blocks)), kind)
         for block, part, (rows, cols) in zip(self.blocks, self.parts, block_slices(self.blocks), strict=True):
             delta[:, rows, cols] = block.members(theta[:, part])
         return delta
@@ -312,11 +301,10 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
     if n == 0:
         return np.where(ensemble.ill_posed, np.inf, _largest_singular_value(ensemble.D)), np.zeros(k)
     value, where = np.full(k, np.inf), np.full(k, np.nan)
-    stable = np.flatnonzero(ensemble.spectral_abscissa() < 0)
-    top = np.pi / ensemble.dt if ensemble.dt else np.inf
-    poles = np.linalg.eigvals(ensemble.A).astype(complex)
+    stable, top = np.flatnonzero(ensemble.spectral_abscissa() < 0), np.inf
+    poles: Any = np.linalg.eigvals(ensemble.A).astype(complex)
     if ensemble.dt:
-        poles = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / ensemble.dt
+        poles, top = np.log(np.where(np.abs(poles) > 1e-12, poles, 1e-12)) / ensemble.dt, np.pi / ensemble.dt
     both_sides = np.iscomplexobj(ensemble.A)
     base = np.concatenate([[0.0], grid, -grid]) if both_sides else np.append(0.0, grid)
     for piece in chunks(len(stable), (len(base) + 2 * n) * n * max(n, n_u)):
@@ -324,30 +312,29 @@ def peak_gains(ensemble: Ensemble, grid: Array) -> tuple[Array, Array]:
         own = np.hstack([np.imag(poles[index]), np.abs(poles[index])])
         omega = np.hstack([np.broadcast_to(base, (len(index), len(base))), own if both_sides else np.abs(own)])
         omega = np.sort(np.clip(omega, -top, top), axis=1)
-        gain = _gains(ensemble, index, omega)
+        gain, rows = _gains(ensemble, index, omega), np.arange(len(index))
         for _ in range(ZOOM_ROUNDS):
             best = gain.argmax(axis=1)
-            rows = np.arange(len(index))
             low = omega[rows, np.maximum(best - 1, 0)]
             high = omega[rows, np.minimum(best + 1, omega.shape[1] - 1)]
             finer = np.linspace(low, high, ZOOM_POINTS + 2, axis=1)
             omega = np.sort(np.hstack([finer, omega[rows, best][:, None]]), axis=1)
             gain = _gains(ensemble, index, omega)
         best = gain.argmax(axis=1)
-        value[index], where[index] = gain[np.arange(len(index)), best], omega[np.arange(len(index)), best]
+        value[index], where[index] = gain[rows, best], omega[rows, best]
     direct = np.zeros(k) if ensemble.dt else _largest_singular_value(ensemble.D)
     at_infinity = direct > value
     return np.where(at_infinity, direct, value), np.where(at_infinity, np.inf, where)
 
 
 def _gains(ensemble: Ensemble, index: NDArray[np.intp], omega: Array) -> Array:
-    """Return the largest singular values of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
+    """Return the gains of the members ``index`` at their own frequencies ``omega (k, n_omega)``."""
     a, b, c, d = (getattr(ensemble, name)[index][:, None] for name in "ABCD")
     point = np.exp(1j * omega * ensemble.dt) if ensemble.dt else 1j * omega
     n = a.shape[-1]
-    lhs = point[..., None, None] * np.eye(n) - a
+    right = np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:]))
     try:
-        x = np.linalg.solve(lhs, np.broadcast_to(b.astype(complex), (*omega.shape, *b.shape[2:])))
+        x = np.linalg.solve(point[..., None, None] * np.eye(n) - a, right)
     except np.linalg.LinAlgError:
         found = "a member has a pole so close to the stability boundary that its gain overflows"
         raise NoTrustworthyNumber("worst_case", found) from None

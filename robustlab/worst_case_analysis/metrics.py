@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.dynamics.simulation import default_clock, simulate
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError, did_you_mean, is_function, unknown_name
@@ -51,13 +52,11 @@ class Metric:
     uncertain: UncertainModel  # the set, without parts that do not affect the metric
     unit: str = ""  # unit of the value; empty where not stated
     location: str = ""  # quantity of `at`: `"t [s]"`, `"omega [rad/s]"`, or empty
-    # 1 where the largest value is the worst, -1 where the smallest is. A member without a bounded value has `sense *
-    # inf`.
+    # 1 where the largest value is the worst, -1 where the smallest is; a member without a bounded value has sense * inf
     sense: float = 1.0
     tolerance: float = 1e-6  # search and re-evaluation must agree to this share of the value
     smooth: bool = True  # False where the value jumps with the parameters
-    # True where re-evaluation may find a worse value than the search (a peak between its grid points).
-    one_sided: bool = False
+    one_sided: bool = False  # True where re-evaluation may find a worse value (a peak between the search's grid points)
 
     def of(self, ensemble: Ensemble) -> Array:
         """Return the metric of each member, shape (k,)."""
@@ -94,7 +93,6 @@ class Metric:
         if not np.isfinite(found) or not np.isfinite(again):
             return bool(found == again)
         slack = max(self.slack(found), self.slack(again))
-        # A second method that evaluates between the search's points may find a worse value.
         beyond = self.sense * (again - found)
         return bool(-slack <= beyond and (self.one_sided or beyond <= slack))
 
@@ -113,7 +111,6 @@ def selected(uncertain: UncertainModel, input: str | None, output: str | None) -
 
 
 def need_real(uncertain: UncertainModel, what: str) -> None:
-    """Reject complex blocks."""
     for block in uncertain.blocks:
         if not block.is_real:
             hint = "a complex Delta has a metric 'hinf' only"
@@ -125,12 +122,9 @@ def need_stable(nominal: StateSpaceModel, what: str) -> None:
     if nominal.n_states and not nominal.is_stable():
         poles = nominal.poles()
         worst = poles[np.argmax(np.abs(poles) if nominal.is_discrete else poles.real)]
-        raise NoTrustworthyNumber(
-            "worst_case",
-            f"nominal model is not asymptotically stable (pole {worst:.4g}): {what}",
-            None,
-            "choose an output that does not see this pole, or close a loop around the model first",
-        )
+        found = f"nominal model is not asymptotically stable (pole {worst:.4g}): {what}"
+        hint = "choose an output that does not see this pole, or close a loop around the model first"
+        raise NoTrustworthyNumber("worst_case", found, None, hint)
 
 
 # --- metrics of a model ----------------------------------------------------------------------------------------------
@@ -247,8 +241,8 @@ class UserMetric(Metric):
         value = np.full(len(ensemble), np.inf)
         nominal = self.uncertain.nominal
         for k in np.flatnonzero(~ensemble.ill_posed):
-            a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
-            model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
+            matrices = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
+            model = StateSpaceModel(*matrices, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
             value[k] = self.of_model(model).value
         return value
 
@@ -294,12 +288,10 @@ def _overshoot(t: Array, y: Array, final: Array, band: float) -> tuple[Array, ND
 
 def settling_times(t: Array, y: Array, final: Array, band: float) -> Array:
     """Return the times (k,) from which responses y stay within ``band`` of their final values; infinite where never."""
-    gap = y - final[:, None]
-    edge = band * np.abs(final)
+    gap, edge = y - final[:, None], band * np.abs(final)
     outside: NDArray[Any] = ~(np.abs(gap) <= edge[:, None])
     last = len(t) - 1 - outside[:, ::-1].argmax(axis=1)
-    rows = np.arange(len(y))
-    following = np.minimum(last + 1, len(t) - 1)
+    rows, following = np.arange(len(y)), np.minimum(last + 1, len(t) - 1)
     here, there = gap[rows, last], gap[rows, following]
     share = (np.abs(here) - edge) / (np.abs(here) - np.sign(here) * there)
     crossing = t[last] + share * (t[following] - t[last])
@@ -335,31 +327,28 @@ class TimeMetric(Metric):
         self._nominal = self._responses(centre)[0]
         if not self._measure.settled:
             return
-        if not 0 < self._band < 1:
-            raise InputError("worst_case", f"band is {self._band!r}", "a share of the final value between 0 and 1")
+        checks.number("worst_case: band", band, "a share of the final value between 0 and 1", above=0, below=1)
         if np.ptp(self.drive.u, axis=0).max(initial=0.0) > 0:
             raise InputError("worst_case", "an input that changes", f"constant inputs: {name} is that of a step")
         need_stable(self.uncertain.nominal, f"it has no {name}")
         final = float(self._finals(centre)[0])
         if abs(final) <= NO_FINAL_VALUE * float(np.abs(self._nominal).max(initial=0.0)):
-            raise NoTrustworthyNumber(
-                "worst_case",
+            found, expected = (
                 f"the nominal response settles at {final:.3g}",
-                f"a final value other than zero: {name} is relative to it",
-                "use the metric peak",
+                f"another final value: {name} is relative to it",
             )
+            raise NoTrustworthyNumber("worst_case", found, expected, "use the metric peak")
 
     def _responses(self, ensemble: Ensemble) -> Array:
-        start = np.zeros(ensemble.A.shape[1])
-        return time_responses(ensemble, self.drive, start, self._hold)[:, :, 0]
+        return time_responses(ensemble, self.drive, np.zeros(ensemble.A.shape[1]), self._hold)[:, :, 0]
 
     def _finals(self, ensemble: Ensemble) -> Array:
         """Return the final values of all members (k,) if the measure needs them; infinite for unstable members."""
-        final = np.full(len(ensemble), np.inf)
+        final, u = np.full(len(ensemble), np.inf), self.drive.u[0]
         if self._measure.settled:
-            stable, n, u = ensemble.is_stable(), ensemble.A.shape[1], self.drive.u[0]
-            some = ensemble.part(np.flatnonzero(stable))
-            shift = np.eye(n) if ensemble.dt else np.zeros((n, n))
+            stable = np.flatnonzero(ensemble.is_stable())
+            some = ensemble.part(stable)
+            shift = np.eye(some.A.shape[1]) if ensemble.dt else 0.0
             x = np.linalg.solve(shift - some.A, (some.B @ u)[:, :, None])
             final[stable] = (some.C @ x)[:, 0, 0] + some.D[:, 0] @ u
         return final
@@ -378,9 +367,7 @@ class TimeMetric(Metric):
     def of_model(self, model: StateSpaceModel) -> Evaluation:
         t, final = self.drive.t, np.full(1, np.inf)
         try:
-            y = self.response(model)
-            if self._measure.deviation:
-                y = y - self.response(self.uncertain.nominal)
+            y = self.response(model) - (self.response(self.uncertain.nominal) if self._measure.deviation else 0.0)
         except NoTrustworthyNumber:
             return Evaluation(np.inf, reason="the response outgrows double precision")
         if self._measure.settled:
@@ -389,8 +376,7 @@ class TimeMetric(Metric):
             final[0] = model.dc_gain()[0] @ self.drive.u[0]
         with np.errstate(all="ignore"):
             values, at = self._measure.of(t, y[None], final, self._band)
-        last = f"this member has not settled by t = {t[-1]:.6g} s, the last of the times"
-        reason = "" if np.isfinite(values[0]) else last
+        reason = "" if np.isfinite(values[0]) else f"this member has not settled by t = {t[-1]:.6g} s, the last time"
         return Evaluation(float(values[0]), np.nan if at is None else float(t[at[0]]), reason=reason)
 
     def slack(self, value: float) -> float:

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robustlab.arrays import AnyArray, Array
+from robustlab import checks
+from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
@@ -27,7 +28,6 @@ from robustlab.worst_case_analysis.members import (
     MemberSet,
     blocks_of,
     excitation,
-    is_count,
     time_responses,
     vertex_signs,
 )
@@ -55,11 +55,8 @@ class Samples(Tabular, Displayable):
         plant: Any = self.uncertain
         if isinstance(plant, UncertainModel):
             return [plant.evaluate(delta) for delta in self.deltas]
-        ranges = {name: p.range for name, p in plant.parameters.items()}
-        return [
-            plant.with_parameters(**{name: (ranges[name].value(d), 0.0) for name, d in delta.items()})
-            for delta in self.deltas
-        ]
+        values = [{k: plant.parameters[k].range.value(d) for k, d in delta.items()} for delta in self.deltas]
+        return [plant.with_parameters(**{k: (v, 0.0) for k, v in member.items()}) for member in values]
 
     @error_context("respond")
     def respond(
@@ -106,18 +103,18 @@ class Samples(Tabular, Displayable):
             deviation = np.array([np.abs(member - nominal).max(axis=0) for member in y])
         finite = bool(np.isfinite(lower).all() and np.isfinite(upper).all())
         return Responses(
-            drive.t,
-            drive.u,
-            y,
-            nominal,
-            np.where(np.isnan(lower), -np.inf, lower),
-            np.where(np.isnan(upper), np.inf, upper),
-            tuple(int(i) for i in np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0)),
-            self.deltas,
-            self.uncertain.inputs,
-            self.uncertain.outputs,
-            tuple(unstable),
-            Status.CONVERGED if finite else Status.INACCURATE,
+            t=drive.t,
+            u=drive.u,
+            y=y,
+            nominal=nominal,
+            lower=np.where(np.isnan(lower), -np.inf, lower),
+            upper=np.where(np.isnan(upper), np.inf, upper),
+            worst=tuple(np.where(np.isnan(deviation), np.inf, deviation).argmax(axis=0).tolist()),
+            deltas=self.deltas,
+            inputs=self.uncertain.inputs,
+            outputs=self.uncertain.outputs,
+            unstable=tuple(unstable),
+            status=Status.CONVERGED if finite else Status.INACCURATE,
         )
 
     def _of_plants(self, drive: Excitation, x0: ArrayLike | None, hold: Any) -> tuple[Array, Array, list[int]]:
@@ -140,8 +137,7 @@ class Samples(Tabular, Displayable):
         members = MemberSet(uncertain)
         for part in blocks_of(len(self), members.block):
             ensemble = members.members(self.deltas.numbers(part))
-            if ensemble.ill_posed.any():
-                index = part.start + int(np.argmax(ensemble.ill_posed))
+            for index in part.start + np.flatnonzero(ensemble.ill_posed):
                 found = f"sample {index} makes the model ill-posed (I - D11 Delta is singular): {self.deltas[index]}"
                 raise NoTrustworthyNumber("respond", found)
             unstable += [part.start + int(i) for i in np.flatnonzero(ensemble.is_unstable(MARGINAL))]
@@ -157,16 +153,15 @@ class Samples(Tabular, Displayable):
 
     def table(self) -> Table:
         """A row for each sample, parameters in their units where known; matrices as ``NAME[row,column]``."""
-        known = {b.name: b.parameter for b in self.deltas.blocks if b.parameter is not None}
-        rows = list(self.deltas)
-        columns: dict[str, AnyArray] = {}
+        rows, columns, units = list(self.deltas), dict[str, Any](), dict[str, str]()
         for block in self.deltas.blocks:
             entries = [f"{block.name}[{i + 1},{j + 1}]" for i, j in np.ndindex(block.value_shape)]
             drawn = np.array([row[block.name] for row in rows]).reshape(len(rows), -1)
             columns |= zip([block.name] if block.is_scalar else entries, drawn.T, strict=True)
-        values = {name: [p.value(float(np.real(v))) for v in columns[name]] for name, p in known.items()}
-        units = {name: p.unit for name, p in known.items()}
-        return Table(("sample", np.arange(len(rows))), {**columns, **values}, units)
+            if (parameter := block.parameter) is not None:
+                columns[block.name] = [parameter.value(float(np.real(v))) for v in columns[block.name]]
+                units[block.name] = parameter.unit
+        return Table(("sample", np.arange(len(rows))), columns, units)
 
     def to_json(self) -> dict[str, object]:
         return {"deltas": list(self.deltas), "seed": self.seed, "vertices": self.vertices}
@@ -176,12 +171,11 @@ class Samples(Tabular, Displayable):
 class Responses(Displayable):
     """Time responses of samples, and the envelope of them and the nominal response."""
 
-    t: Array  # times in s, shape (n_t,)
-    u: Array  # input samples, shape (n_t, n_u)
-    y: Array  # outputs, shape (n_samples, n_t, n_y)
-    nominal: Array  # outputs of the nominal model, shape (n_t, n_y)
-    # lower, upper: envelope of the samples and the nominal model, (n_t, n_y); infinite where a response overflows
-    lower: Array
+    t: Array  # times in s, (n_t,)
+    u: Array  # input samples, (n_t, n_u)
+    y: Array  # outputs, (n_samples, n_t, n_y)
+    nominal: Array  # outputs of the nominal model, (n_t, n_y)
+    lower: Array  # envelope of the samples and the nominal model, (n_t, n_y); infinite where a response overflows
     upper: Array
     worst: tuple[int, ...]  # for each output the sample with the largest |y - nominal| at any time
     deltas: Sequence[Mapping[str, Any]]
@@ -203,7 +197,7 @@ class Responses(Displayable):
             ("outputs", with_units(self.outputs)),
             ("largest deviation", listed(f"{s.name} {number(float(value), s.unit)}" for s, value in deviations)),
             ("unstable", f"{len(self.unstable)} members" if self.unstable else ""),
-            ("said", self.label),
+            ("meaning", self.label),
         ]
 
     def to_json(self) -> dict[str, object]:
@@ -251,15 +245,12 @@ def sample(uncertain: UncertainModel | Plant, n: int, seed: int = 0, vertices: i
     [-1.0, 1.0]
     """
     if isinstance(uncertain, LinearPlant):
-        raise InputError(
-            "sample", f"the linear plant {uncertain.name}", "an UncertainModel", "plant.uncertain() is one"
-        )
+        hint = "plant.uncertain() is one"
+        raise InputError("sample", f"the linear plant {uncertain.name}", "an UncertainModel", hint)
     if not isinstance(uncertain, (NonlinearPlant, UncertainModel)):
         raise InputError("sample", type(uncertain).__name__, "an UncertainModel or a nonlinear plant")
-    corners = 0 if isinstance(vertices, str) and vertices == "all" else vertices
-    for name, count in (("n", n), ("vertices", corners), ("seed", seed)):
-        if not is_count(count, 0):
-            raise InputError("sample", f"{name} is {count!r}", "a whole number, not negative")
+    for name, count in (("n", n), ("vertices", 0 if vertices == "all" else vertices), ("seed", seed)):
+        checks.whole(name, count)
     if n == 0 and vertices == 0:
         raise InputError("sample", "no samples and no vertices", "at least one of n and vertices")
     if isinstance(uncertain, UncertainModel):

@@ -24,7 +24,7 @@ from robustlab.statespace import StateSpaceModel
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.units import amount
-from robustlab.worst_case_analysis.members import Deltas, is_count
+from robustlab.worst_case_analysis.members import Deltas
 from robustlab.worst_case_analysis.metrics import Metric, make_metric, name_of, values_at
 
 SMALLEST_SHARE = 1e-14  # needs some 10^15 samples
@@ -69,16 +69,9 @@ class Influence(Tabular, Displayable):
     def rows(self) -> list[tuple[str, ...]]:
         """Return the relevant parameters: name, share of the spread, direction, the worst sample with it nominal."""
         ways = {1: "grows with it", -1: "falls with it", 0: "-"}
-        return [
-            (
-                self.names[k],
-                f"{100 * self.first_order[k]:.1f} %" if self.first_order[k] > self.noise else "-",
-                ways[int(self.directions[k])],
-                f"{self.restored[k]:.6g}",
-            )
-            for k in self.order[:SHOWN]
-            if self.matters[k]
-        ]
+        shares = [f"{100 * share:.1f} %" if share > self.noise else "-" for share in self.first_order]
+        relevant = [k for k in self.order[:SHOWN] if self.matters[k]]
+        return [(self.names[k], shares[k], ways[int(self.directions[k])], f"{self.restored[k]:.6g}") for k in relevant]
 
     def table(self) -> Table:
         """A row for each parameter: share of the spread, and the metric without its change."""
@@ -92,49 +85,40 @@ class Influence(Tabular, Displayable):
 def influence_of(judge: Metric, theta: Array, values: Array, worst: int) -> Influence:
     """Return the influence of real scalars on a metric from samples ``theta`` (n, d) and their ``values`` (n,)."""
     from scipy.special import fdtri
+    from scipy.stats import rankdata
 
     n, d = theta.shape
-    ranks = _ranks(values)
+    ranks = rankdata(values)
     numbers = values if np.isfinite(values).all() else ranks
     bins = int(np.clip(np.sqrt(n), 4, MOST_BINS))
     ratio = float(fdtri(bins - 1, n - bins, 0.95))
     found = judge.of(judge.set.members(np.vstack([np.where(np.eye(d), 0.0, theta[worst]), np.zeros((1, d))])))
-    x, y = _ranks(theta) - (n + 1) / 2, ranks - (n + 1) / 2
+    x, y = rankdata(theta, axis=0) - (n + 1) / 2, ranks - (n + 1) / 2
     spread = np.sqrt((x**2).sum(axis=0) * (y**2).sum())
     correlation = np.divide(y @ x, spread, where=spread > 0, out=np.zeros(d))
     return Influence(
-        tuple(b.name for b in judge.set.blocks),
-        np.array([_between_bins(theta[:, k], numbers, bins) for k in range(d)]),
-        max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1)),
-        np.where(np.abs(correlation) > 3.0 / np.sqrt(n), np.sign(correlation), 0).astype(int),
-        float(values[worst]),
-        found[:d],
-        float(found[-1]),
-        judge.unit,
-        n,
+        names=tuple(b.name for b in judge.set.blocks),
+        first_order=np.array([_between_bins(theta[:, k], numbers, bins) for k in range(d)]),
+        noise=max(0.0, (bins - 1) * (ratio - 1) / ((bins - 1) * ratio + n - bins + 1)),
+        directions=np.where(np.abs(correlation) > 3.0 / np.sqrt(n), np.sign(correlation), 0).astype(int),
+        worst_value=float(values[worst]),
+        restored=found[:d],
+        nominal_value=float(found[-1]),
+        unit=judge.unit,
+        n=n,
     )
 
 
 def _between_bins(x: Array, y: Array, bins: int) -> float:
     """Return omega squared of y in bins of x of equal count, an estimate of Var(E[y|x]) / Var(y)."""
     ordered = y[np.argsort(x, kind="stable")] - y.mean()
-    parts = np.array_split(ordered, bins)
-    total = float((ordered**2).sum())
+    parts, total = np.array_split(ordered, bins), float((ordered**2).sum())
     between = sum(len(part) * float(part.mean()) ** 2 for part in parts)
     within = (total - between) / (len(y) - bins)
     # Ignore the rounding of equal values.
     if total <= len(y) * (1e-12 * float(np.abs(y).max())) ** 2:
         return 0.0
     return float(np.clip((between - (bins - 1) * within) / (total + within), 0.0, 1.0))
-
-
-def _ranks(y: Array) -> Array:
-    """Return the ranks 1..n of each column, equal values with their mean rank."""
-    columns = y.reshape(len(y), -1).T
-    ordered = np.sort(columns, axis=1)
-    pairs = zip(ordered, columns, strict=True)
-    both = [np.searchsorted(o, c, "left") + np.searchsorted(o, c, "right") for o, c in pairs]
-    return (np.array(both).T.reshape(y.shape) + 1) / 2
 
 
 FEWEST_SAMPLES = 32
@@ -183,19 +167,15 @@ class ViolationProbability(Tabular, Displayable):
     violations: int  # of these; a member without a bounded value violates the limit ...
     unbounded: int  # ... and these are such
     probability: float  # violations / n
-    # lower, upper: two-sided Clopper-Pearson bounds of the probability at `confidence`; at_most: the one-sided bound
-    lower: float
+    lower: float  # two-sided Clopper-Pearson bounds of the probability at `confidence`
     upper: float
-    at_most: float
+    at_most: float  # one-sided bound
     confidence: float
-    # wanted, shown: the required probability, and whether `at_most` confirms it; samples_needed: samples without a
-    # violation that would; all None where none was required
-    wanted: float | None
-    shown: bool | None
-    samples_needed: int | None
+    wanted: float | None  # the required probability; None where none was required
+    shown: bool | None  # whether `at_most` confirms it
+    samples_needed: int | None  # samples without a violation that would
     quantiles: tuple[Quantile, ...]  # of the metric
-    # the worst sample, re-evaluated by another method
-    worst_value: float
+    worst_value: float  # the worst sample, re-evaluated by another method
     worst_index: int
     worst_delta: Mapping[str, Any]
     values: Array  # the metric of each sample, (n,)
@@ -235,7 +215,7 @@ class ViolationProbability(Tabular, Displayable):
         header = ("quantile", value, f"bounds at {100 * self.confidence:g} %")
         rows = [(f"{100 * q.share:g} %", f"{q.value:.6g}", f"{q.lower:.6g} .. {q.upper:.6g}") for q in self.quantiles]
         matter = [] if self.influence is None else self.influence.rows()
-        header_of_rows = ("what matters", "of the spread", "metric", "worst sample with it nominal")
+        header_of_rows = ("relevant parameter", "of the spread", "metric", "worst sample with it nominal")
         return [Part("", header, rows), Part("", header_of_rows, matter)]
 
     def facts(self) -> Facts:
@@ -251,7 +231,7 @@ class ViolationProbability(Tabular, Displayable):
             ("without a bounded value", f"{self.unbounded} (unstable, or not settled)" if self.unbounded else ""),
             ("worst sample", f"number {self.worst_index}: {worst}: {member(self.worst_delta)}"),
             ("quantiles", listed(f"{q.share:g}: {number(q.value, self.unit)}" for q in self.quantiles)),
-            ("said", self.label),
+            ("meaning", self.label),
         ]
 
     def table(self) -> Table:
@@ -327,8 +307,7 @@ def violation_probability(
     from scipy.stats import binomtest
 
     where = "violation_probability"
-    if not is_count(seed, 0):
-        raise InputError("seed", f"{seed!r}", "a whole number, not negative")
+    seed = checks.whole("seed", seed)
     judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
     if not uncertain.blocks:
         raise InputError(where, "a model without uncertainty", "blocks to sample", "every sample would be the nominal")
@@ -341,41 +320,40 @@ def violation_probability(
         needed = max(1, math.ceil(math.log1p(-confidence) / math.log1p(-probability) * (1 - 1e-12)))
     expected = "a finite number, or one with its unit such as '0.5 rad'"
     value = checks.number(f"{where}: limit", amount(f"{where}: limit", limit, judge.unit), expected)
-    count = n if n is not None else needed or DEFAULT_SAMPLES
-    if not is_count(count, 1) or count > MOST_SAMPLES:
-        raise InputError("n", f"{count!r}", f"a whole number of samples from 1 to {MOST_SAMPLES}")
-    deltas = Deltas(uncertain.blocks, int(count), seed)
+    count = checks.whole("n", needed or DEFAULT_SAMPLES if n is None else n, 1, MOST_SAMPLES)
+    deltas = Deltas(uncertain.blocks, count, seed)
     values = values_at(judge, deltas)
     scores = judge.sense * values
-    violations = int((scores > judge.sense * value).sum())
-    worst = int(scores.argmax())
+    violations, worst = int((scores > judge.sense * value).sum()), int(scores.argmax())
     delta = dict(deltas[worst])
     again = judge.evaluate(delta)
-    low, high = clopper_pearson(violations, len(values), confidence)
-    at_most = float(binomtest(violations, len(values), alternative="less").proportion_ci(confidence, "exact").high)
-    real = judge.set.all_real and len(values) >= FEWEST_SAMPLES
+    low, high = clopper_pearson(violations, count, confidence)
+    at_most = float(binomtest(violations, count, alternative="less").proportion_ci(confidence, "exact").high)
+    real = judge.set.all_real and count >= FEWEST_SAMPLES
     return ViolationProbability(
-        name_of(metric),
-        judge.unit,
-        value,
-        judge.sense,
-        len(values),
-        violations,
-        int(np.isposinf(scores).sum()),
-        violations / len(values),
-        low,
-        high,
-        at_most,
-        confidence,
-        probability,
-        None if probability is None else at_most <= probability,
-        needed,
-        tuple(quantile_bounds(values, q, confidence) for q in quantiles),
-        again.value,
-        worst,
-        delta,
-        values,
-        influence_of(judge, deltas.numbers(slice(0, len(values))), values, worst) if real else None,
-        int(seed),
-        Status.CONVERGED if judge.agrees(float(values[worst]), again.value) and again.accurate else Status.INACCURATE,
+        metric=name_of(metric),
+        unit=judge.unit,
+        limit=value,
+        sense=judge.sense,
+        n=count,
+        violations=violations,
+        unbounded=int(np.isposinf(scores).sum()),
+        probability=violations / count,
+        lower=low,
+        upper=high,
+        at_most=at_most,
+        confidence=confidence,
+        wanted=probability,
+        shown=None if probability is None else at_most <= probability,
+        samples_needed=needed,
+        quantiles=tuple(quantile_bounds(values, q, confidence) for q in quantiles),
+        worst_value=again.value,
+        worst_index=worst,
+        worst_delta=delta,
+        values=values,
+        influence=influence_of(judge, deltas.numbers(slice(0, count)), values, worst) if real else None,
+        seed=seed,
+        status=Status.CONVERGED
+        if again.accurate and judge.agrees(float(values[worst]), again.value)
+        else Status.INACCURATE,
     )

@@ -10,15 +10,16 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.budget import MILLION, Budget, one_thread, search_budget
 from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import MemberSet, chunks, is_count, vertex_signs
+from robustlab.worst_case_analysis.members import MemberSet, chunks, vertex_signs
 from robustlab.worst_case_analysis.metrics import Metric, TimeMetric, make_metric, name_of
 
 LABEL = "sampled: a lower bound of the true worst case"
@@ -39,12 +40,10 @@ ROUNDING = 1e-11  # largest relative change of a score by rounding
 class WorstResponse(Evidence):
     """The response of one output, nominal and of the worst member."""
 
-    t: Array  # times in s, shape (n_t,)
-    # nominal, worst: the output, (n_t,)
-    nominal: Array
+    t: Array  # times in s, (n_t,)
+    nominal: Array  # the output, (n_t,)
     worst: Array
-    # output, unit: its name and unit
-    output: str
+    output: str  # its name and unit
     unit: str
 
 
@@ -60,8 +59,7 @@ class WorstCase(Displayable, AllFields):
     delta: Mapping[str, Any]  # block -> value
     metric: str
     nominal_value: float  # the metric at Delta = 0, by the same method as `value`
-    # CONVERGED; INACCURATE where search and re-evaluation disagree or digits were lost; INCONCLUSIVE where the work
-    # budget ended the search, TIMEOUT where the time limit did
+    # INACCURATE: search and re-evaluation disagree or digits were lost. INCONCLUSIVE: the work budget ended the search.
     status: Status
     label: str  # meaning of the value, and the reason for an early end of the search
     evaluations: int  # members that were evaluated
@@ -70,8 +68,7 @@ class WorstCase(Displayable, AllFields):
     location: str  # quantity of `at`
     search_value: float  # value of the search at `delta`
     unit: str
-    # input, output: signals that the metric was restricted to; None for all
-    input: str | None
+    input: str | None  # signals that the metric was restricted to; None for all
     output: str | None
     spectral_abscissa: float  # of the member at `delta`, all states
     seed: int
@@ -80,9 +77,9 @@ class WorstCase(Displayable, AllFields):
     @property
     def percent(self) -> float | None:
         """Largest change of the response in percent of the largest nominal value; None without one, or if it is 0."""
-        found = self.response
-        size = 0.0 if found is None else float(np.abs(found.nominal).max())
-        return None if found is None or not size > 0 else 100 * float(np.abs(found.worst - found.nominal).max() / size)
+        if (found := self.response) is None or not found.nominal.any():
+            return None
+        return 100 * float(np.abs(found.worst - found.nominal).max() / np.abs(found.nominal).max())
 
     def headline(self) -> str:
         return f"worst {self.metric} found: {number(self.value, self.unit)}"
@@ -98,7 +95,7 @@ class WorstCase(Displayable, AllFields):
             ("largest change of the response", number(self.percent, "%")),
             ("worst member", member(self.delta, self.physical)),
             ("at", f"{name} = {number(self.at, unit.rstrip(']'))}" if name and number(self.at) else ""),
-            ("said", self.label),
+            ("meaning", self.label),
             ("evaluated", f"{self.evaluations} members, seed {self.seed}"),
             ("input, output", ", ".join(name for name in (self.input, self.output) if name)),
         ]
@@ -139,18 +136,17 @@ def worst_case(
     output, input
         Signals of the metric. A response needs an output if there are several; norms are of all signals by default.
     t, u, hold
-        Times and inputs for a response, as in `Samples.respond`. By default eight time constants of the nominal
-        model, and a unit step on ``input`` or on the only input.
+        As in `Samples.respond`; by default eight time constants of the nominal model, and a unit step on ``input``.
     band
         Share of the final value that counts as settled.
     n
         Points of a Latin hypercube, in addition to the centre and up to 1024 vertices.
     seed
-        Seed of the random numbers.
+        Of the random numbers.
     time_limit
-        Time limit in s. If it is reached, the status is TIMEOUT and the result depends on the machine.
+        In s. If it is reached, the status is TIMEOUT and the result depends on the machine.
     effort
-        Work of the search as a multiple of the usual (about a minute); counted, not timed. Most searches end earlier.
+        Work of the search as a multiple of the usual (about a minute); counted, not timed.
 
     Returns
     -------
@@ -175,43 +171,41 @@ def worst_case(
     ({'pole': -1.0}, 4.89)
     """
     budget = search_budget("worst_case", WORK, effort, time_limit)
-    for name, count, least in (("n", n, 1), ("seed", seed, 0)):
-        if not is_count(count, least):
-            raise InputError("worst_case", f"{name} is {count!r}", f"a whole number, at least {least}")
+    n, seed = checks.whole("n", n, 1), checks.whole("seed", seed)
     with one_thread():
         judge = make_metric(uncertain, metric, output, input, t, u, hold, band)
         search = _Search(judge, budget)
-        theta, score = search.run(int(n), int(seed))
+        theta, score = search.run(n, seed)
         delta = delta_values(uncertain.blocks, judge.set.deltas(theta[None])[0])
         again, nominal = judge.evaluate(delta), judge.evaluate({})
         abscissa = float(MemberSet(uncertain).members(theta[None]).spectral_abscissa()[0])
         response = _response(judge, delta)
-    found = judge.sense * score
+    found, label = judge.sense * score, LABEL_SMALLEST if judge.sense < 0 else LABEL
     status = Status.CONVERGED if again.accurate and judge.agrees(found, again.value) else Status.INACCURATE
-    if search.ended:
-        status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
-    label = LABEL_SMALLEST if judge.sense < 0 else LABEL
     if not np.isfinite(again.value):
         label = f"{UNBOUNDED}: {again.reason}" if again.reason else UNBOUNDED
-    remark = [budget.remark] if search.ended and budget.remark else []
+    remark = []
+    if search.ended:
+        status = Status.TIMEOUT if budget.struck else Status.INCONCLUSIVE
+        remark = [budget.remark] if budget.remark else []
     return WorstCase(
-        again.value,
-        delta,
-        name_of(metric),
-        nominal.value,
-        status,
-        "; ".join([label, *remark, *uncertain.remarks]),
-        search.evaluations,
-        uncertain.physical(delta),
-        again.at,
-        judge.location,
-        found,
-        judge.unit,
-        input,
-        output,
-        abscissa,
-        int(seed),
-        response,
+        value=again.value,
+        delta=delta,
+        metric=name_of(metric),
+        nominal_value=nominal.value,
+        status=status,
+        label="; ".join([label, *remark, *uncertain.remarks]),
+        evaluations=search.evaluations,
+        physical=uncertain.physical(delta),
+        at=again.at,
+        location=judge.location,
+        search_value=found,
+        unit=judge.unit,
+        input=input,
+        output=output,
+        spectral_abscissa=abscissa,
+        seed=seed,
+        response=response,
     )
 
 
@@ -236,13 +230,11 @@ class _Search:
     """A search from the centre, vertices and a Latin hypercube; scores are ``sense * value``: the larger the worse."""
 
     def __init__(self, metric: Metric, budget: Budget) -> None:
-        self.metric, self.budget = metric, budget
-        self.evaluations = 0
+        self.metric, self.budget, self.evaluations = metric, budget, 0
         self.ended = False  # early, by the budget
         self.best, self.top = np.zeros(metric.set.size), -np.inf
 
     def run(self, n: int, seed: int) -> tuple[Array, float]:
-        """Return the worst vector and its score."""
         d, blocks = self.metric.set.size, self.metric.set.blocks
         points = np.zeros((1, d))
         if d:
@@ -276,8 +268,7 @@ class _Search:
 
     def _scores(self, theta: Array) -> Array:
         """Return the scores at vectors (k, d); -inf beyond the budget."""
-        scores = np.full(len(theta), -np.inf)
-        m = self.metric.uncertain.M
+        scores, m = np.full(len(theta), -np.inf), self.metric.uncertain.M
         for part in chunks(len(theta), 64 * (m.A.size + m.D.size + 1)):
             if self.evaluations and self.budget.over:
                 self.ended = True
@@ -318,16 +309,15 @@ class _Search:
             slope = np.where(np.abs(change) > ROUNDING * abs(score), change, 0.0) / step
             return -score / sizes[0], -slope / sizes[0]
 
+        bounds = [(-1.0, 1.0)] * len(start)
         with suppress(_Ended):
-            bounds = [(-1.0, 1.0)] * len(start)
             minimize(falling, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": CLIMB_STEPS})
 
     def _compass(self, theta: Array, score: float, step: float) -> None:
         """Search along every coordinate, the projected slope, and all gains together, in smaller and smaller steps."""
         d = len(theta)
         while step > SMALLEST_STEP and not self.ended and not np.isposinf(score):
-            ahead = np.clip(theta + step * np.eye(d), -1.0, 1.0)
-            behind = np.clip(theta - step * np.eye(d), -1.0, 1.0)
+            ahead, behind = (np.clip(theta + sign * step * np.eye(d), -1.0, 1.0) for sign in (1, -1))
             up, down = np.split(self._scores(np.vstack([ahead, behind])), 2)
             width = np.diag(ahead) - np.diag(behind)
             finite = np.isfinite(up) & np.isfinite(down)

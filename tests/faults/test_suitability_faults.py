@@ -96,11 +96,11 @@ def test_an_encoder_that_never_turns_three_steps():
 def test_dead_sensors():
     one = suitability(AXIS, record(q=RUN["q"] + 1e-6 * NOISE[0], v=np.full(2000, 0.125)))
     assert one.fit
-    assert one.of("constant-output")[0].message.startswith("v: stands at 0.125 m/s throughout: a dead sensor")
-    with pytest.raises(InputError, match=r"run 7: q: stands at 0 m throughout") as caught:
+    assert one.of("constant-output")[0].message.startswith("v: is 0.125 m/s throughout: a dead sensor")
+    with pytest.raises(InputError, match=r"run 7: q: is 0 m throughout") as caught:
         suitability(AXIS, record(q=np.zeros(2000), v=np.zeros(2000))).require()
     assert caught.value.exit_code == 3
-    assert "run 7: v: stands at 0 m/s" in str(caught.value)
+    assert "run 7: v: is 0 m/s" in str(caught.value)
 
 
 def test_clipped_outputs_are_named_with_their_samples():

@@ -233,7 +233,7 @@ GROWING = StateSpaceModel([[0.1]], [[1.0]], [[1.0]], [[0.0]])
         (lambda: worst_case(motor()), UsageError, "2 outputs and none named"),
         (lambda: worst_case(motor(), "h3"), UsageError, "metric 'h3'"),
         (lambda: worst_case(motor(), "hinf", output="speed"), InputError, "output 'speed'"),
-        (lambda: worst_case(motor(), "hinf", n=0), InputError, "n is 0"),
+        (lambda: worst_case(motor(), "hinf", n=0), InputError, "n: 0"),
         (lambda: worst_case(UncertainModel(LAG, [ComplexScalar("d")])), InputError, "is complex"),
         (lambda: worst_case(elementwise(GROWING, GROWING)), InputError, "unstable and no times"),
     ],

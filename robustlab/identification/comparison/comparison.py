@@ -6,23 +6,27 @@ it measures the linearisation error. Errors are sorted along the motion of the j
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
+from robustlab.display import Each, Facts, listed, number
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
-from robustlab.dynamics.ports.port_model import Course
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.identification.comparison.comparison_result import Comparison
 from robustlab.identification.comparison.error_analysis import (
+    Bin,
     FreeRun,
     InputDisturbance,
     Linearisation,
     Motion,
+    OutputGap,
+    ResidualTests,
+    Spectrum,
+    WindowErrors,
     input_disturbances,
     joint_disturbances,
     kept,
@@ -30,24 +34,253 @@ from robustlab.identification.comparison.error_analysis import (
     motion_of,
 )
 from robustlab.identification.comparison.repeats import Excess, NoiseFloor, noise_floor
+from robustlab.identification.data_checks.channel_identity import along_motion
 from robustlab.identification.data_checks.resampling import clock_step, refuse_gaps, uniform
 from robustlab.identification.data_checks.suitability import channel_warnings
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
-from robustlab.identification.greybox.motion_smoother import smooth_motion
 from robustlab.identification.greybox.prepared_record import window_length
-from robustlab.identification.response.response import Stretch, matched, response_of, stretch_of, with_units
-from robustlab.identification.response.windowed_simulation import (
+from robustlab.identification.response.response import (
     InitialState,
     LinearResponse,
     MotionResponse,
     WindowedSimulation,
+    matched,
+    response_of,
+    slowest_time_constant,
     starting_state,
+    stretch_of,
     window_edges,
     windowed_simulation,
+    with_units,
 )
 from robustlab.record import Record
-from robustlab.result import Status
+from robustlab.result import Evidence, Status
 from robustlab.statespace import Signal
+from robustlab.tables import Table, Tabular
+
+# Fields that become JSON in another form, or not at all.
+NOT_AS_IT_IS = ("measured", "simulated", "windowed", "noise_reason", "against_noise")
+EXPLAINS = 0.5  # share of the squared error that a located disturbance removes at least
+TIE = 2.0  # times the best: squared error that remains with another place that is as good
+ROUNDING = 1e-9  # a residual below this share of the range is rounding and is not tested
+
+
+@dataclass(frozen=True)
+class Comparison(Tabular, Evidence):
+    """Result of `compare`; mappings are by the name of the output where nothing else is said."""
+
+    status: Status  # CONVERGED: both simulations are finite and every number follows from the series kept here
+    model: str
+    record: str
+    outputs: Mapping[str, OutputGap]
+    windows: Mapping[str, WindowErrors]
+    # bins of the windowed error over the measured speed and position; empty where neither is recorded
+    speed: Mapping[str, tuple[Bin, ...]]
+    position: Mapping[str, tuple[Bin, ...]]
+    motions: Mapping[str, Motion]  # signals used for that: one for all, or one per joint
+    frequency: Mapping[str, Spectrum]  # empty where the free run does not reach the end of the record
+    residual: Mapping[str, ResidualTests]
+    initial_state: InitialState  # of the free run
+    window: float  # length of the windows, s
+    # the compared signals: measured, free run (None if it ends at once), windowed simulation
+    measured: Record
+    simulated: Record | None
+    windowed: Record
+    # input, or a joint as ``torque at omega`` -> the single disturbance there with which the model reproduces the
+    # record best; joints only for a nonlinear plant; empty for a discrete model and a nonuniform time base
+    disturbance: Mapping[str, InputDisturbance]
+    warnings: tuple[str, ...]  # limits of the numbers
+    direction: Mapping[str, Mapping[str, Bin]]  # windowed error moving backward, at standstill, moving forward
+    noise: NoiseFloor | None  # None where the record does not repeat, with the reason
+    noise_reason: str
+    # Of the windowed error, with windows at the same phases of every period. Its ``noise`` is larger than the sensor's
+    # in closed loop, where noise also enters at the input. Empty without a noise floor.
+    against_noise: Mapping[str, Excess]
+    free_run: FreeRun
+    # for a nonlinear plant: linearisation error of the windows, and standard deviation of the samples about the
+    # smoothed motion
+    linearisation: Linearisation | None = None
+    sensor_noise: Mapping[str, float] = field(default_factory=dict)
+
+    quantities: ClassVar[Mapping[str, Any]] = {
+        **dict.fromkeys(("model", "record"), str),
+        "outputs": Each("outputs", OutputGap),
+        "windows": Each("outputs", WindowErrors),
+        "worst_window": Each("outputs", ("s", "s")),
+        "worst": {"output": str, "start": "s", "stop": "s"},
+        "residual": Each("outputs", ResidualTests),
+        "direction": Each("outputs", {"*": Bin}),
+        "disturbance": Each("inputs", InputDisturbance, ("torque at *", "force at *")),
+        "initial_state": InitialState,
+        "free_run": FreeRun,
+        "linearisation": Linearisation,
+        "sensor_noise": Each("outputs", "*"),
+        "window": "s",
+        "warnings": [str],
+        **dict.fromkeys(("speed", "position", "frequency", "noise"), ...),
+    }
+
+    @property
+    def worst_window(self) -> dict[str, tuple[float, float]]:
+        """Return output name -> first and last time in s of the window with its largest error."""
+        return {name: (float(w.start[w.worst]), float(w.stop[w.worst])) for name, w in self.windows.items()}
+
+    @property
+    def worst(self) -> dict[str, Any]:
+        """Return the output with the largest windowed error over its range, its and its worst window in s."""
+        name = max(self.outputs.values(), key=lambda gap: gap.windowed_rms_percent).name
+        start, stop = self.worst_window[name]
+        return {"output": name, "start": start, "stop": stop}
+
+    @property
+    def located(self) -> tuple[InputDisturbance, ...]:
+        """Return the best disturbances that explain half of the error, and equally good ones; inputs first."""
+        found = self.disturbance.values()
+        left = min((1.0 - d.explained_share for d in found), default=1.0)
+        good = [d for d in found if d.explained_share >= EXPLAINS and 1.0 - d.explained_share <= TIE * left]
+        return tuple(sorted(good, key=lambda d: (not d.place.startswith("input "), -d.explained_share)))
+
+    def headline(self) -> str:
+        """Report the output with the largest error, in free run where that is complete, else in windows."""
+        free, gaps = self.free_run, self.outputs.values()
+        most = max(gaps, key=lambda gap: gap.rms_percent if free.whole else gap.windowed_rms_percent)
+        if free.whole:
+            size, how, when = most.rms_percent, "in free run", f"most at {number(most.peak_time, 's', 3)}"
+        else:
+            size, how = most.windowed_rms_percent, f"in windows of {number(self.window, 's', 3)}"
+            when = f"the free run ends at {number(free.end, 's', 3)}"
+        return f"against {self.record}: {how} {most.name} is off by {size:.3g} % of its range (rms); {when}"
+
+    def facts(self) -> Facts:
+        gaps = [(f"{name}: in windows", _errors(g, "windowed_")) for name, g in self.outputs.items()]
+        end = "" if self.free_run.whole else f"ends at {number(self.free_run.end, 's')}: {self.free_run.reason}"
+        return [
+            ("model", self.model),
+            ("record", f"{self.record}: {self.measured.n} samples, {number(self.measured.duration, 's')}"),
+            *gaps,
+            ("windows", f"of {number(self.window, 's')}, each from its best start"),
+            ("free run", end),
+            ("windows linear about the motion", self._linear_in_words()),
+            *(fact for name in self.outputs for fact in self._more(name)),
+            ("worst of all", "{output}, {start:.3g} to {stop:.3g} s".format(**self.worst)),
+            *self._missing(),
+            ("noise floor", self._floor_in_words()),
+            *(("warning", text) for text in self.warnings),
+        ]
+
+    def _more(self, name: str) -> Facts:
+        g, motion = self.outputs[name], self.motions[name]
+        free = _errors(g, "") if self.free_run.whole else ""
+        places = ["{:.3g} to {:.3g} s".format(*self.worst_window[name])]
+        for found, unit, over in (
+            (self.speed, motion.speed_unit, "speed"),
+            (self.position, motion.position_unit, "position"),
+        ):
+            if name in found:
+                worst = max(found[name], key=lambda b: b.rms)
+                places.append(f"{worst.low:.3g} to {worst.high:.3g} {unit} of {over}")
+        return [
+            (f"{name}: free run", free),
+            (f"{name}: where", f"windowed error largest at {'; at '.join(places)}"),
+            (f"{name}: noise", self._noise_in_words(name)),
+            (f"{name}: residual", self._residual_in_words(name)),
+        ]
+
+    def _noise_in_words(self, name: str) -> str:
+        """Report the windowed error in multiples of the noise: of the repeats, else of the sensor's scatter."""
+        g, e = self.outputs[name], self.against_noise.get(name)
+        std = self.noise.std[name] if self.noise else self.sensor_noise.get(name)
+        if e is not None and (not std or e.F is None or e.p_value is None):
+            return "none: the repeats are equal to the last bit"
+        size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that" if std else ""
+        if e is None:
+            return size
+        verdict = "the model leaves something to explain" if e.p_value < 0.01 else "nothing is left to explain"
+        return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value)})"
+
+    def _residual_in_words(self, name: str) -> str:
+        r, unit = self.residual[name], self.outputs[name].unit
+        if r.rms <= ROUNDING * self.outputs[name].range:
+            return f"zero to rounding (rms {number(r.rms, unit, 1)})"
+        left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
+        white = "white" if r.whiteness.p_value >= 0.01 else "not white"
+        share = f"{100 * r.whiteness.explained_share:.1f} % of its variance is predictable from its past"
+        rest = f"{listed(left)} still in it" if left else "independent of the inputs"
+        return f"{white} (p {_p(r.whiteness.p_value)}), {share}; {rest}"
+
+    def _linear_in_words(self) -> str:
+        found = self.linearisation
+        if found is None or not len(found.windows):
+            return ""
+        name = max(found.share, key=lambda key: found.share[key])
+        size = number(found.difference[name], self.outputs[name].unit, 2)
+        return f"within {100 * found.share[name]:.2g} % of the error ({name}, {size}) in {len(found.windows)} windows"
+
+    def _floor_in_words(self) -> str:
+        n = self.noise
+        if n is None:
+            return f"none ({self.noise_reason})"
+        spread = ", ".join(number(v, self.measured.units.get(u, ""), 3) + f" at {u}" for u, v in n.input_std.items())
+        fed_back = [f"fed back by a controller: {spread}"] if spread else []
+        return "; ".join([f"from {n.count} periods of {n.period:.6g} s ({n.signal})", *fed_back, *n.notes])
+
+    def _missing(self) -> Facts:
+        if not self.disturbance:
+            return []
+        if not self.located:
+            best = max(self.disturbance.values(), key=lambda d: d.explained_share)
+            text = f"no disturbance at one place explains half of the error (best {best.place}, "
+            return [("missing", f"{text}{100 * best.explained_share:.0f} %)")]
+        found: Facts = []
+        for d in self.located:
+            means = [f"{mean:+.3g} +- {number(std, d.unit, 2)} {way}" for way, (mean, std) in d.sure_means.items()]
+            size = f"rms {number(d.rms, d.unit, 3)}; {', '.join(means) or 'no mean that differs from zero'}"
+            share = f"{100 * d.explained_share:.0f} % of the squared error goes"
+            found.append((f"missing: {d.place}", f"{size}; {share}"))
+        return found
+
+    def numbers(self) -> dict[str, Any]:
+        """Return all but the time series, and the `worst`."""
+        return {**self.to_json(series=False), "worst": self.worst}
+
+    def table(self) -> Table:
+        """Return a row for each output: sizes of its error in its unit."""
+        names = ("range", "rms", "peak", "fit", "windowed_rms", "windowed_peak", "windowed_fit", "unit")
+        columns = {key: [getattr(gap, key) for gap in self.outputs.values()] for key in names}
+        return Table(("output", list(self.outputs)), columns, {"fit": "%", "windowed_fit": "%"})
+
+    def to_json(self, series: bool = True) -> dict[str, object]:
+        """Return all fields; without ``series`` no time series and no densities over frequency."""
+        bands = {name: {"bands": f.bands, "error_share": f.error_share} for name, f in self.frequency.items()}
+        data: dict[str, object] = {
+            **{key: value for key, value in vars(self).items() if key not in NOT_AS_IT_IS},
+            "worst_window": self.worst_window,
+            "motions": {name: m.named() for name, m in self.motions.items()},
+            "frequency": self.frequency if series else bands,
+            "noise": {"floor": self.noise, "reason": self.noise_reason, "outputs": self.against_noise},
+        }
+        if series:
+            data |= {
+                "t": self.measured.t,
+                "input": self.measured.inputs,
+                "measured": self.measured.outputs,
+                "simulated": self.simulated.outputs if self.simulated else {},
+                "windowed": self.windowed.outputs,
+            }
+        return data
+
+
+def _errors(gap: OutputGap, of: str) -> str:
+    peak, peak_percent, rms, rms_percent, fit = (
+        float(getattr(gap, of + key)) for key in ("peak", "peak_percent", "rms", "rms_percent", "fit")
+    )
+    peak_text = f"peak {number(peak, gap.unit, 3)} ({peak_percent:.3g} % of the range)"
+    return f"{peak_text}, rms {number(rms, gap.unit, 3)} ({rms_percent:.3g} %), fit {fit:.4g} %"
+
+
+def _p(p_value: float) -> str:
+    return f"{p_value:.2g}" if p_value > 1e-6 else "< 1e-6"
+
 
 LAGS = 25
 SHORTEST_WINDOW = 20  # samples
@@ -59,15 +292,13 @@ POINTS = 60  # of the motion, at which the couplings of signals and joints and t
 NO_MOTION = Motion(None, None, "", "", "", "")
 SHORTEST_RECORD = 40  # samples
 CHECKED = 6  # windows that are also simulated with the nonlinear plant
-LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
 DIVERGED = 10.0  # times the recorded range from the record: the free run ends there
 SECTION = 100  # samples that the free run simulates at once
 RTOL = 1e-9
 GROWN = 20.0  # times: a larger growth of an initial error gives a warning
 
 
-@dataclass(frozen=True, eq=False)
-class Matching:
+class Matching(NamedTuple):
     """A plant or model matched with a record, at the signals that both have."""
 
     model: LinearResponse | MotionResponse
@@ -128,37 +359,32 @@ def compare(
     """
     matching = _matching(plant, record)
     model, record, inputs = matching.model, matching.record, matching.inputs
-    outputs = [s.name for s in matching.outputs]
-    whole, along = model.whole, model if isinstance(model, MotionResponse) else None
+    outputs, whole = [s.name for s in matching.outputs], model.whole
     length = _window_length(plant, matching, window)
     initial = starting_state(model, length)
     windows = windowed_simulation(model, window_edges(record.n, length))
+    error, checked, disturbance = whole.y - windows.y, None, dict[str, InputDisturbance]()
     if isinstance(model, MotionResponse):
         run, free = free_run(model, initial.x0, outputs)
+        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
+        checked = linearisation(model, windows, outputs)
+        if matching.smoothed:
+            disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
     else:
         run, free = FreeRun(float(record.t[-1]), ""), model.response.simulate(whole.t, whole.u, initial.x0)
         if np.abs(free).max() > LARGEST_OUTPUT:
             hint = "compare a shorter stretch (Record.between)"
             raise NoTrustworthyNumber(f"compare {record.name}", "the free run overflows", "a stable model", hint)
-    if isinstance(model, MotionResponse):
-        motions, of_joints = motions_of_outputs(model, record), motions_of_joints(model, record)
-    else:
-        of_joints = [motion_of(record, length)]
-        motions = dict.fromkeys(outputs, of_joints[0])
-    lags = min(LAGS, record.n // 4)
-    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, lags)
+        motion = motion_of(record, length)
+        motions = dict.fromkeys(outputs, motion)
+        disturbance = input_disturbances(plant, model, error, windows.edges, motion)
+    found = localised(whole, matching.outputs, free if run.whole else None, windows, motions, min(LAGS, record.n // 4))
     noise, noise_reason = None, ""
     try:
         noise = noise_floor(record, outputs=outputs)
     except NoTrustworthyNumber as none:
         noise_reason = f"{none.found}; {none.hint}" if none.hint else none.found
-    error = whole.y - windows.y
-    disturbance: dict[str, InputDisturbance] = {}
-    if isinstance(model, LinearResponse):
-        disturbance = input_disturbances(plant, model, error, windows.edges, of_joints[0])
-    elif matching.smoothed:
-        disturbance = joint_disturbances(model, matching.smoothed, error, windows.edges, of_joints)
-    checked = linearisation(along, windows, outputs) if along else None
+    warnings = channel_warnings(record, tuple(inputs), tuple(outputs))
     return Comparison(
         status=Status.CONVERGED,
         model=str(getattr(plant, "name", None) or repr(plant)),
@@ -170,17 +396,13 @@ def compare(
         simulated=kept(record, inputs, outputs, free, f"{record.name} (free run)") if len(free) > 1 else None,
         windowed=kept(record, inputs, outputs, windows.y, f"{record.name} (windowed simulation)"),
         disturbance=disturbance,
-        warnings=(
-            *matching.warnings,
-            *channel_warnings(record, tuple(inputs), tuple(outputs)),
-            *_warnings(matching, initial, motions, checked, run),
-        ),
+        warnings=(*matching.warnings, *warnings, *_warnings(matching, initial, motions, checked, run)),
         noise=noise,
         noise_reason=noise_reason,
         against_noise=_against_noise(noise, model, length, outputs) if noise else {},
         free_run=run,
         linearisation=checked,
-        sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if along else {},
+        sensor_noise=dict(zip(outputs, (1.0 / whole.weight).tolist(), strict=True)) if checked else {},
         **found,
     )
 
@@ -214,7 +436,7 @@ def _window_length(plant: Any, matching: Matching, window: float | None) -> int:
         return round(window / record.dt)
     if isinstance(model, MotionResponse):
         return window_length(plant, [record])
-    seconds = model.response.slowest_time_constant() or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
+    seconds = slowest_time_constant(model.response.model) or record.duration / WINDOWS_WITHOUT_TIME_CONSTANT
     shortest = max(SHORTEST_WINDOW, 10 * len(model.state_names))
     return min(record.n, max(shortest, min(round(seconds / record.dt), record.n // WINDOWS_AT_LEAST)))
 
@@ -223,20 +445,16 @@ def _warnings(
     matching: Matching, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
 ) -> list[str]:
     record, model, texts = matching.record, matching.model, []
-    along = isinstance(model, MotionResponse)
-    if initial.rank < len(model.state_names):
+    along, n_x = isinstance(model, MotionResponse), len(model.state_names)
+    if initial.rank < n_x:
         rest = "the others are those of the smoothed motion" if along else "the others are the smallest that fit"
-        texts.append(
-            f"the recorded outputs determine {initial.rank} of {len(model.state_names)} states at the start; {rest}"
-        )
+        texts.append(f"the recorded outputs determine {initial.rank} of {n_x} states at the start; {rest}")
     if along:
         return [*texts, *(checked.warnings() if checked else []), *unstable(model, run)]
-    slowest = model.response.slowest_time_constant()
+    slowest = slowest_time_constant(model.response.model)
     if record.duration < slowest:
-        texts.append(
-            f"the record lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s: "
-            "slow behaviour is not tested"
-        )
+        size = f"lasts {record.duration:.3g} s, the slowest time constant of the model is {slowest:.3g} s"
+        texts.append(f"the record {size}: slow behaviour is not tested")
     if not record.is_uniform:
         texts.append("the clock is not uniform: spectra are of interpolated signals, lags count samples")
     if next(iter(motions.values())).speed is None:
@@ -260,20 +478,13 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
         warnings = (*warnings, f"the clock is not uniform: resampled in steps of {record.dt:.6g} s")
     record = with_units(record, (*plant.inputs, *outputs))
     inputs, names = [s.name for s in plant.inputs], [s.name for s in outputs]
-    for name in names:
-        if not np.ptp(record[name]):
-            found = f"{name} stands at {record[name][0]:.6g} {record.unit(name)}".rstrip() + " throughout"
-            raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
-    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
-    u = np.column_stack([record.inputs[name] for name in inputs])
-    whole = stretch_of(record, inputs, names)
+    if dead := [name for name in names if not np.ptp(record[name])]:
+        found = f"{dead[0]} is {record[dead[0]][0]:.6g} {record.unit(dead[0])}".rstrip() + " throughout"
+        raise InputError(where, found, "outputs that move", "remove a dead sensor from the record")
     try:
-        smoothed = smooth_motion(plant, record.t, u, whole.y, columns)[0]
+        model, smoothed = along_motion(plant, stretch_of(record, inputs, names), names)
     except InputError as wrong:  # its message refers to effect identification
         raise InputError(where, wrong.found, wrong.expected, wrong.hint) from None
-    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
-    whole = Stretch(whole.t, whole.u, whole.y, 1.0 / noise)
-    model = MotionResponse(Course(plant, smoothed.x, u, record.dt), columns, whole)
     return Matching(model, record, inputs, outputs, warnings, smoothed)
 
 
@@ -302,9 +513,8 @@ def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motio
 
 def motions_of_joints(model: MotionResponse, record: Record) -> list[Motion]:
     """Return the motion of each joint, or `NO_MOTION` for each input of a plant without joints."""
-    plant = model.plant
-    found = [_motion(plant, joint, model.course.x, record) for joint in _joints(plant)]
-    return found or [NO_MOTION] * len(plant.inputs)
+    found = [_motion(model.plant, joint, model.course.x, record) for joint in _joints(model.plant)]
+    return found or [NO_MOTION] * len(model.plant.inputs)
 
 
 def _about(model: MotionResponse) -> LocalModels:
@@ -370,8 +580,9 @@ def _onward(model: MotionResponse, x: Array, first: int, last: int) -> tuple[Arr
 def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Sequence[str]) -> Linearisation:
     """Simulate some windows and the worst one with the nonlinear plant from the fitted initial states."""
     whole, plant, edges, u = model.whole, model.plant, windows.edges, model.course.u
-    error = ((whole.y - windows.y) * whole.weight) ** 2
-    worst = int((np.add.reduceat(error.sum(axis=1), edges[:-1]) / np.diff(edges)).argmax())
+    error = whole.y - windows.y
+    squares = ((error * whole.weight) ** 2).sum(axis=1)
+    worst = int((np.add.reduceat(squares, edges[:-1]) / np.diff(edges)).argmax())
     different, missed, checked, broken = [], [], [], []
     for k in np.unique([worst, *np.linspace(0, len(edges) - 2, CHECKED).astype(int)]):
         a, b = int(edges[k]), int(edges[k + 1])
@@ -381,7 +592,7 @@ def linearisation(model: MotionResponse, windows: WindowedSimulation, names: Seq
             continue
         made = plant.outputs_along(np.vstack([windows.x0[k], more]), u[a:b])[:, list(model.columns)]
         different.append(made - windows.y[a:b])
-        missed.append(whole.y[a:b] - windows.y[a:b])
+        missed.append(error[a:b])
         checked.append(whole.t[a])
     if not checked:
         return Linearisation(np.zeros(0), {}, {}, np.array(broken))

@@ -16,8 +16,7 @@ from robustlab.arrays import Array
 from robustlab.display import Each, Facts, number
 from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
-from robustlab.identification.response.response import response_of
-from robustlab.identification.response.windowed_simulation import SHORTEST_START, LinearResponse, starting_state
+from robustlab.identification.response.response import SHORTEST_START, LinearResponse, response_of, starting_state
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 from robustlab.uncertainty.lft import UncertainModel
@@ -28,26 +27,20 @@ from robustlab.worst_case_analysis.sampling import LABEL, sample
 class SignalCoverage(Evidence):
     """Position of one signal of a record relative to the envelope; percent is of `size`."""
 
-    # name, unit: the output, or ``"phi-rate"`` for the mean rate of the output phi
-    name: str
+    name: str  # the output, or ``"phi-rate"`` for the mean rate of the output phi
     unit: str
     size: float  # largest measured distance from the first measured value, in `unit`
     share: float  # of the samples inside the envelope, 0..1
-    # miss, miss_percent: largest distance of a sample from the envelope; 0 if all are inside
-    miss: float
+    miss: float  # largest distance of a sample from the envelope; 0 if all are inside
     miss_percent: float
-    # miss_time, miss_side: its time [s], and whether the record is ``"above"`` or ``"below"``; NaN and ``""`` for none
-    miss_time: float
-    miss_side: Literal["", "above", "below"]
-    # gap, gap_percent: largest ``|measured - nominal|``
-    gap: float
+    miss_time: float  # its time in s; NaN for none
+    miss_side: Literal["", "above", "below"]  # where the record is then
+    gap: float  # largest ``|measured - nominal|``
     gap_percent: float
-    # reach, reach_percent: largest ``|member - nominal|``
-    reach: float
+    reach: float  # largest ``|member - nominal|``
     reach_percent: float
     allowance: float  # distance outside the envelope at which a sample still counts as inside
-    # t, measured, nominal, lower, upper: the series, each of shape (n,)
-    t: Array
+    t: Array  # the series, each of shape (n,)
     measured: Array
     nominal: Array
     lower: Array
@@ -96,7 +89,7 @@ class EnvelopeCoverage(Evidence):
         return all(s.share == 1.0 for s in self.signals.values())
 
     def headline(self) -> str:
-        verdict = "lies in the envelope" if self.covered else "is not covered"
+        verdict = "is inside the envelope" if self.covered else "is not covered"
         return f"{self.record} {verdict} of {self.members} members (seed {self.seed})"
 
     def facts(self) -> Facts:
@@ -151,12 +144,12 @@ def cover(
     require_linear_set("cover", uncertain)
     response = response_of(uncertain.nominal, record)
     names = response.output_names
+    allowed = dict.fromkeys(names, 0.0)
     for name, value in (allowance or {}).items():
         where = f"cover {record.name}: allowance of {name!r}"
         if name not in names:
             raise unknown_name(where, "no such compared output", name, names)
-        checks.number(where, value, "a number that is not negative", at_least=0)
-    allowed = {**dict.fromkeys(names, 0.0), **(allowance or {})}
+        allowed[name] = checks.number(where, value, "a number that is not negative", at_least=0)
     lag = 0 if rate is None or not np.isfinite(rate) else round(rate / record.dt)
     if rate is not None and not 1 <= lag <= record.n // 4:
         span = f"between {record.dt:.6g} and {record.duration / 4:.6g} s"
@@ -173,19 +166,17 @@ def cover(
         raise NoTrustworthyNumber(f"cover {record.name}", "a member exceeds double precision", None, "a shorter record")
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
-        measured, centre, members = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, measured, centre, members, float(allowed[name]))
+        series = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
+        signals[name] = _coverage(name, unit, record.t, *series, allowed[name])
         if lag:
-            seconds = lag * record.dt
-            middle = 0.5 * (record.t[lag:] + record.t[:-lag])
-            rate_y, rate_0, rate_k = ((y[..., lag:] - y[..., :-lag]) / seconds for y in (measured, centre, members))
+            seconds, middle = lag * record.dt, 0.5 * (record.t[lag:] + record.t[:-lag])
+            rates = ((y[..., lag:] - y[..., :-lag]) / seconds for y in series)
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
-            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, rate_y, rate_0, rate_k, slack)
+            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, *rates, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
 
 
 def require_linear_set(where: str, uncertain: Any) -> None:
-    """Refuse anything but an uncertain linear model."""
     if isinstance(uncertain, NonlinearPlant):
         hint = "plant.uncertain(at=...) makes one, for the record's deviations from that trim"
         raise InputError(where, f"the nonlinear plant {uncertain.name}", "an uncertain linear model about a trim", hint)
@@ -203,11 +194,8 @@ def _coverage(
     size = float(np.abs(measured - measured[0]).max())
     worst = int(outside.argmax())
     miss = float(outside[worst])
-    far = {
-        "miss": miss,
-        "gap": float(np.abs(measured - nominal).max()),
-        "reach": float(np.maximum(upper - nominal, nominal - lower).max()),
-    }
+    gap, reach = np.abs(measured - nominal).max(), np.maximum(upper - nominal, nominal - lower).max()
+    far = {"miss": miss, "gap": float(gap), "reach": float(reach)}
     percent = {f"{key}_percent": 100.0 * value / size if size else np.nan for key, value in far.items()}
     return SignalCoverage(
         name=name,

@@ -19,10 +19,10 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import Port, linear_plant_of, port_model
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, smooth_disturbance
-from robustlab.identification.response.response import Stretch
-from robustlab.identification.response.windowed_simulation import (
+from robustlab.identification.response.response import (
     LinearResponse,
     MotionResponse,
+    Stretch,
     Windowed,
     WindowedSimulation,
     fit_windows,
@@ -52,8 +52,7 @@ SHORTEST = 8  # samples to estimate the noise of a sensor
 class Motion(Evidence):
     """Measured speed and position along the record, against which errors are sorted."""
 
-    # speed, position: samples (n,), or None where the record has no such signal
-    speed: Array | None
+    speed: Array | None  # samples (n,), or None where the record has no such signal
     position: Array | None
     speed_unit: str
     position_unit: str
@@ -72,8 +71,7 @@ class Bin(Evidence):
     low: float
     high: float
     samples: int  # number of samples within
-    # mean, rms: mean and RMS of the error in units of the output (0 where there is no sample)
-    mean: float
+    mean: float  # of the error in units of the output; 0 where there is no sample
     rms: float
     share: float  # of the record's squared error, 0..1; the shares of all bins sum to 1
 
@@ -85,18 +83,16 @@ class Spectrum(Evidence):
     Hann window, half overlap, mean kept (a constant error is an error at frequency 0).
     """
 
-    frequency: Array  # frequencies in Hz, shape (n_f,)
-    # measured, simulated, error: one-sided densities of the measured output, the free run, and its error in unit²/Hz,
-    # shape (n_f,). The windowed error has none: it restarts in every window, which sets its frequencies.
+    frequency: Array  # Hz, (n_f,)
+    # One-sided densities in unit²/Hz, (n_f,): measured output, free run, and its error. The windowed error has none: it
+    # restarts in every window, which sets its frequencies.
     measured: Array
     simulated: Array
     error: Array
-    # input name -> magnitude-squared coherence with the error, shape (n_f,): the share of the error at that frequency
-    # that is linear in this input
-    coherence: Mapping[str, Array]
+    coherence: Mapping[str, Array]  # input -> share of the error at a frequency that is linear in it, (n_f,)
     coherence_level: float  # 99 % of the coherences of independent signals are below this
-    bands: Array  # edges of the bands in Hz, shape (n_bands + 1,)
-    error_share: Array  # share of the squared error per band, shape (n_bands,), sum 1
+    bands: Array  # edges of the bands in Hz, (n_bands + 1,)
+    error_share: Array  # share of the squared error per band, (n_bands,), sum 1
 
 
 def motion_of(record: Record, window: int) -> Motion:
@@ -131,15 +127,11 @@ def bin_index(value: Array, edges: Array) -> NDArray[np.int_]:
 
 def bins(value: Array, error: Array, edges: Array) -> tuple[Bin, ...]:
     """Sort an error (n,) by ``value`` (n,) into bins."""
-    index = bin_index(value, edges)
-    total = float((error**2).sum()) or 1.0
-    result: list[Bin] = []
-    for k in range(len(edges) - 1):
-        inside = error[index == k]
-        squared = float((inside**2).sum())
-        mean, rms = (float(inside.mean()), float(np.sqrt(squared / len(inside)))) if len(inside) else (0.0, 0.0)
-        result.append(Bin(float(edges[k]), float(edges[k + 1]), len(inside), mean, rms, squared / total))
-    return tuple(result)
+    index, n = bin_index(value, edges), len(edges) - 1
+    samples, total, squares = (np.bincount(index, weights, n) for weights in (None, error, error**2))
+    mean, rms = total / np.maximum(samples, 1), np.sqrt(squares / np.maximum(samples, 1))
+    columns = (edges[:-1], edges[1:], samples, mean, rms, squares / (squares.sum() or 1.0))
+    return tuple(Bin(*row) for row in zip(*(column.tolist() for column in columns), strict=True))
 
 
 def directions(speed: Array, error: Array) -> dict[str, Bin]:
@@ -152,8 +144,7 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
     """Compute the spectra of one output; see `Spectrum`."""
     from scipy.signal import coherence, welch
 
-    n, dt = len(t), float(t[-1] - t[0]) / (len(t) - 1)
-    grid = t[0] + dt * np.arange(n)
+    n, dt, grid = len(t), float(t[-1] - t[0]) / (len(t) - 1), np.linspace(t[0], t[-1], len(t))
     if np.abs(t - grid).max() > 1e-3 * dt:  # a nonuniform time base is interpolated to its mean step
         measured, simulated = (np.interp(grid, t, x) for x in (measured, simulated))
         inputs = {name: np.interp(grid, t, x) for name, x in inputs.items()}
@@ -166,10 +157,8 @@ def spectrum(t: Array, inputs: Mapping[str, Array], measured: Array, simulated: 
     densities = [welch(x, detrend=cast("Any", False), **options) for x in (measured, simulated, error)]
     f, (p_measured, p_simulated, p_error) = densities[0][0], (density for _, density in densities)
     with np.errstate(invalid="ignore", divide="ignore"):  # 0 / 0 where a signal has no power: coherence 0
-        shared = {
-            name: np.nan_to_num(coherence(x, error, detrend="constant", **options)[1], posinf=0.0)
-            for name, x in inputs.items()
-        }
+        found = {name: coherence(x, error, detrend="constant", **options)[1] for name, x in inputs.items()}
+        shared = {name: np.nan_to_num(x, posinf=0.0) for name, x in found.items()}
     level = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / (averages - 1.0)) if averages > 1 else 1.0
     # Two bands a decade on round numbers (1, 3, 10, 30, ...).
     decades = 10.0 ** np.arange(np.floor(np.log10(f[1])) - 1, np.ceil(np.log10(f[-1])) + 1)
@@ -189,14 +178,13 @@ class OutputGap(Evidence):
     name: str
     unit: str
     range: float
-    # peak, ..., peak_time: of the free run, peak_time in s; NaN where it does not reach the end of the record
+    # of the free run, peak_time in s; NaN where it does not reach the end of the record
     peak: float
     rms: float
     peak_percent: float
     rms_percent: float
     fit: float
     peak_time: float
-    # windowed_*: of the windowed simulation
     windowed_peak: float
     windowed_rms: float
     windowed_peak_percent: float
@@ -215,8 +203,7 @@ class OutputGap(Evidence):
 class WindowErrors(Evidence):
     """Error of one output window by window; all arrays have shape (n_windows,)."""
 
-    # start, stop: first and last time of each window in s
-    start: Array
+    start: Array  # first and last time of each window in s
     stop: Array
     windowed_rms: Array
     worst: int  # index of the window with the largest windowed RMS
@@ -224,7 +211,7 @@ class WindowErrors(Evidence):
 
 @dataclass(frozen=True)
 class ResidualTests(Evidence):
-    """Tests of one output's recursive residual (see `robustlab.identification.response.windowed_simulation`)."""
+    """Tests of one output's recursive residual (see `robustlab.identification.response.response`)."""
 
     rms: float  # RMS of the residual in the unit of the output
     whiteness: Correlation
@@ -249,28 +236,21 @@ class Linearisation(Evidence):
     """Windows that are linear about the recorded motion, against the nonlinear plant from the same starts."""
 
     windows: Array  # times in s at which the checked windows start
-    # output name -> RMS of nonlinear minus linear simulation over these windows, in its unit
-    difference: Mapping[str, float]
-    # output name -> the same over the RMS of the error in these windows: if far below 1, the error is due to the model,
-    # not to the linearisation
+    difference: Mapping[str, float]  # output -> RMS of nonlinear minus linear simulation over these, in its unit
+    # output -> the same over the RMS of the error there: if far below 1, the error is due to the model, not to the
+    # linearisation
     share: Mapping[str, float]
-    # start times of the windows whose nonlinear simulation does not reach their end; these are not counted
-    broken: Array
+    broken: Array  # start times of the windows whose nonlinear simulation does not reach their end; not counted
 
     def warnings(self) -> list[str]:
-        """Return warnings about the accuracy of the windows."""
         texts = []
         worst = max(self.share, key=lambda name: self.share[name], default="")
         if worst and self.share[worst] > LINEAR_SHARE:
-            texts.append(
-                f"the windows are linear about the recorded motion, and that makes {100 * self.share[worst]:.0f} % of "
-                f"the error of {worst}: take shorter windows"
-            )
+            size = f"{100 * self.share[worst]:.0f} % of the error of {worst}"
+            texts.append(f"the windows are linear about the recorded motion: that makes {size}, take shorter windows")
         if len(self.broken):
-            texts.append(
-                "from the fitted start the nonlinear plant does not reach the end of the window at "
-                f"{self.broken[0]:.4g} s"
-            )
+            end = f"the end of the window at {self.broken[0]:.4g} s"
+            texts.append(f"from the fitted start the nonlinear plant does not reach {end}")
         return texts
 
 
@@ -308,15 +288,14 @@ def localised(
             result["frequency"][name] = spectrum(t, u, y[:, k], free[:, k])
         residual = windows.residual[:, k]
         known = residual[np.isfinite(residual)]
-        size_left = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+        size = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
         against = {key: input_correlation(samples, residual, lags) for key, samples in u.items()}
-        result["residual"][name] = ResidualTests(size_left, whiteness(residual, lags), against)
+        result["residual"][name] = ResidualTests(size, whiteness(residual, lags), against)
     return result
 
 
 def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) -> OutputGap:
     spread, spread_rms = float(np.ptp(y)), float(np.sqrt(np.mean((y - y.mean()) ** 2)))
-
     # Percentages are undefined if the spread or its square vanishes in floating point.
     percent = 100.0 / spread if spread_rms else np.nan
 
@@ -324,10 +303,8 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
         return peak, rms, peak * percent, rms * percent, 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
 
-    none = (np.nan, np.nan, np.nan, np.nan, np.nan)
-    free = none if error is None else sizes(error)
-    at = np.nan if error is None else float(t[np.abs(error).argmax()])
-    return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
+    free = [np.nan] * 6 if error is None else [*sizes(error), float(t[np.abs(error).argmax()])]
+    return OutputGap(signal.name, signal.unit, spread, *free, *sizes(local))
 
 
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:
@@ -348,8 +325,7 @@ class Correlation(Evidence):
     lags: NDArray[np.int_]  # in samples; positive: the residual after the input
     correlation: Array  # at these lags; at negative ones it shows that the input was computed from the output
     band: float  # 99 % of the correlations are within ± this if the test's hypothesis is true
-    # statistic, dof, p_value: chi-square distributed if there are none, and the probability of a larger one
-    statistic: float
+    statistic: float  # chi-square distributed with dof if there are none; p_value: probability of a larger one
     dof: int
     p_value: float
     explained_share: float  # share of the residual's variance that is linear in its past or in the input, 0..1
@@ -358,14 +334,10 @@ class Correlation(Evidence):
 def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.int_]]:
     """Compute r_0..r_lags of a residual (n,), not centred, without NaN samples, and the number of pairs at each lag."""
     e = np.asarray(residual, dtype=float)
-    there = np.isfinite(e)
-    filled = np.where(there, e, 0.0)
-    n = len(e)
-    power = float(filled @ filled)
-    r = np.array([filled[k:] @ filled[: n - k] for k in range(lags + 1)]) / (power or 1.0)
+    there, filled, n = np.isfinite(e), np.nan_to_num(e), len(e)
+    r = np.array([filled[k:] @ filled[: n - k] for k in range(lags + 1)]) / (float(filled @ filled) or 1.0)
     r[0] = 1.0
-    pairs = np.array([int((there[k:] & there[: n - k]).sum()) for k in range(lags + 1)])
-    return r, pairs
+    return r, np.array([int((there[k:] & there[: n - k]).sum()) for k in range(lags + 1)])
 
 
 def whiteness(residual: ArrayLike, lags: int) -> Correlation:
@@ -394,24 +366,20 @@ def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlati
     """
     from scipy.special import chdtrc
 
-    e: Array = np.asarray(residual, dtype=np.float64)
-    v: Array = np.asarray(u, dtype=np.float64)
-    v = v - float(v.mean())
-    filled = np.nan_to_num(e)
+    e, v = (np.asarray(x, dtype=np.float64) for x in (residual, u))
+    v, filled = v - float(v.mean()), np.nan_to_num(e)
     n, total = int(np.isfinite(e).sum()), len(e)
     size = float(np.sqrt((filled @ filled) * (v @ v)))
     ahead = [filled[k:] @ v[: total - k] for k in range(lags + 1)]
     behind = [filled[: total - k] @ v[k:] for k in range(lags, 0, -1)]
-    correlation: Array = np.array([*behind, *ahead], dtype=np.float64)
-    correlation /= size or 1.0
+    correlation = np.array([*behind, *ahead], dtype=np.float64) / (size or 1.0)
     r_e, r_u = autocorrelation(e, lags)[0], autocorrelation(v, lags)[0]
     # Variance of r_k for a coloured residual that is independent of a coloured input (Ljung 1999, eq. 16.64).
     spread = max(1.0, float(1.0 + 2.0 * (r_e[1:] @ r_u[1:])))
     share, dof, rows = _explained(v, e, lags)
-    statistic = rows * share
-    p_value = float(chdtrc(dof, statistic)) if dof else 1.0
+    p_value = float(chdtrc(dof, rows * share)) if dof else 1.0
     band = float(BAND_99 * np.sqrt(spread / max(n, 1)))
-    return Correlation(np.arange(-lags, lags + 1), correlation, band, statistic, dof, p_value, share)
+    return Correlation(np.arange(-lags, lags + 1), correlation, band, rows * share, dof, p_value, share)
 
 
 def _explained(v: Array, e: Array, lags: int) -> tuple[float, int, int]:
@@ -444,8 +412,7 @@ class InputDisturbance(Evidence):
     speed: Array | None  # measured speed at each sample, (n,), or None without one
     speed_source: str
     rms: float
-    # mean, forward, backward: over all samples and over those that move in one direction (NaN without any), with
-    # standard errors
+    # over all samples and over those that move in one direction (NaN without any), with standard errors
     mean: float
     mean_std: float
     forward: float
@@ -481,10 +448,10 @@ def input_disturbances(
     ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, a nonuniform time base and too
     few samples.
     """
-    model, whole, names = response.response.model, response.whole, response.response.output_names
+    whole, names = response.whole, response.response.output_names
+    model = response.response.model.select(outputs=names)
     if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
         return {}
-    model = model.select(outputs=names)
     u = np.column_stack([whole.u[name] for name in model.input_names])
     spread, level = np.ptp(whole.y, axis=0), np.abs(whole.y).max(axis=0)
     spread = np.where(spread > 0, spread, np.where(level > 0, level, 1.0))
@@ -508,13 +475,12 @@ def joint_disturbances(
 ) -> dict[str, InputDisturbance]:
     """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints.
 
-    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input, or a single one.
+    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input.
     """
     plant = response.plant
-    joints = [(_force_at(p.name, next(s.unit for s in plant.states if s.name == p.name)), p.unit)
-              for p in plant.port_places if p.kind == "joint"]  # fmt: skip
+    units = {s.name: s.unit for s in plant.states}
+    joints = [(_force_at(p.name, units[p.name]), p.unit) for p in plant.port_places if p.kind == "joint"]
     places = joints or [(f"input {s.name}", s.unit) for s in plant.inputs]
-    motions = motions if len(motions) == len(places) else [motions[0]] * len(places)
     left, before = _remaining(response, smoothed.d, error, edges), error * response.whole.weight
     names = [plant.outputs[k].name for k in response.columns]
     return {
@@ -545,9 +511,7 @@ def _places(plant: Any, model: StateSpaceModel) -> Iterable[tuple[str, str, str,
         ports: Iterable[Port] = port_model(linear_plant_of(plant)).ports.values()
     except (InputError, np.linalg.LinAlgError):
         return
-    for port in ports:
-        if port.kind != "joint" or port.force.shape != (model.n_states,):
-            continue
+    for port in (port for port in ports if port.kind == "joint" and port.force.shape == (model.n_states,)):
         if all(np.linalg.matrix_rank(np.stack([port.force, model.B[:, k]])) == 2 for k in inputs):
             text = _force_at(port.name, port.speed_unit)
             yield text, text, port.unit, port.force
@@ -573,16 +537,15 @@ def _disturbance(
         spread = max(float(d[chosen].std()), float(np.sqrt((std[chosen] ** 2).mean())))
         return float(d[chosen].mean()), spread / float(np.sqrt(max(1.0, independent * n)))
 
-    speed = motion.speed
-    rest = 0.0 if speed is None else REST * float(np.abs(speed).max())
-    none, every = np.zeros(len(d), dtype=bool), np.ones(len(d), dtype=bool)
-    ways = [every, none, none] if speed is None else [every, speed > rest, speed < -rest]
+    speed = np.zeros(len(d)) if motion.speed is None else motion.speed
+    rest = REST * float(np.abs(speed).max())
+    ways = [np.ones(len(d), dtype=bool), speed > rest, speed < -rest]
     before, after = (error**2).sum(axis=0), (left**2).sum(axis=0)
     shares = np.divide(before - after, before, out=np.zeros_like(before), where=before > 0)
     total = float(before.sum())
     (m, m_std), (forward, forward_std), (backward, backward_std) = (mean(way) for way in ways)
     return InputDisturbance(
-        place, unit, d, std, speed, motion.speed_source, float(np.sqrt((d**2).mean())),
+        place, unit, d, std, motion.speed, motion.speed_source, float(np.sqrt((d**2).mean())),
         m, m_std, forward, forward_std, backward, backward_std, dict(zip(names, shares.tolist(), strict=True)),
         max(0.0, 1.0 - float(after.sum()) / total) if total else 0.0,
     )  # fmt: skip

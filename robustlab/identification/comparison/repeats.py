@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.data_checks.suitability import quantisation_step
 from robustlab.record import Record
 from robustlab.result import Evidence
 
@@ -45,17 +46,15 @@ class Excess(Evidence):
 class NoiseFloor(Evidence):
     """Noise of the outputs of a record that repeats; see `noise_floor`."""
 
-    signal: str  # the signal that repeats
-    period: float  # its period in s
+    signal: str  # the signals that repeat
+    period: float  # in s
     samples: int  # of one repeat
     count: int  # number of repeats
-    # sample of the record at which the first period used starts: the last whole periods, without a start-up transient
-    first: int
-    # output name -> standard deviation of the noise in a single sample, in the unit of the output; where a drift (an
-    # integrator in open loop) was removed, it holds no noise slower than a period
+    first: int  # sample at which the first period used starts: the last whole periods, without a start-up transient
+    # Output -> standard deviation of the noise in a single sample, in its unit; where a drift (an integrator in open
+    # loop) was removed, it contains no noise slower than a period.
     std: Mapping[str, float]
-    # input name -> as ``std`` for inputs that do not repeat exactly: noise that a controller feeds back
-    input_std: Mapping[str, float]
+    input_std: Mapping[str, float]  # the same of inputs that do not repeat exactly: noise that a controller feeds back
     notes: tuple[str, ...]  # limits of the estimate
 
     def repeats(self, samples: Array) -> Array:
@@ -73,11 +72,10 @@ class NoiseFloor(Evidence):
         # Residuals are differences of larger numbers: a spread at their rounding is no noise.
         if variance <= (1e-14 * float(np.abs(r).max())) ** 2:
             return Excess(None, None, (0.0, 0.0), float(np.sqrt(power)), 0.0)
-        above = effective_dof(deviation)
-        below = above * (self.count - 1)
-        ratio = power * self.count / variance
-        repeatable = float(np.sqrt(max(0.0, power - variance / self.count)))
-        return Excess(ratio, float(fdtrc(above, below, ratio)), (above, below), repeatable, float(np.sqrt(variance)))
+        above, ratio = effective_dof(deviation), power * self.count / variance
+        dof = above, above * (self.count - 1)
+        repeatable, noise = np.sqrt([max(0.0, power - variance / self.count), variance]).tolist()
+        return Excess(ratio, float(fdtrc(*dof, ratio)), dof, repeatable, noise)
 
 
 def noise_floor(record: Record, *, outputs: Sequence[str] | None = None) -> NoiseFloor:
@@ -88,13 +86,13 @@ def noise_floor(record: Record, *, outputs: Sequence[str] | None = None) -> Nois
     samples, signal = _found_period(record, names)
     count = record.n // samples
     first = record.n - count * samples
-    stacked = {name: x[first:].reshape(count, samples) for name, x in (*record.inputs.items(), *record.outputs.items())}
+    stacked = {name: x[first:].reshape(count, samples) for name, x in {**record.inputs, **record.outputs}.items()}
     for name in record.inputs:
-        if not _alike(stacked[name]):
+        x = stacked[name]
+        if np.sqrt(np.mean((x - x.mean(axis=0)) ** 2)) > ROUGHLY * x.std():
             found = f"does not repeat with a period of {samples * record.dt:.6g} s"
-            raise NoTrustworthyNumber(
-                f"{where}: {name}", found, "the same input in every repeat (to 10 % in closed loop)"
-            )
+            expected = "the same input in every repeat (to 10 % in closed loop)"
+            raise NoTrustworthyNumber(f"{where}: {name}", found, expected)
     skipped = _transient([stacked[name] for name in names])
     notes = []
     if skipped:
@@ -102,22 +100,19 @@ def noise_floor(record: Record, *, outputs: Sequence[str] | None = None) -> Nois
     elif count == 2 and first < samples // 2:
         notes.append("two periods only: a transient at the start would count as noise")
     stacked = {name: x[skipped:] for name, x in stacked.items()}
-    spreads = {name: _spread(stacked[name]) for name in names}
-    if drifting := [name for name, (_, level) in spreads.items() if level]:
-        notes.append(
-            f"{', '.join(drifting)} drifts from repeat to repeat: its level was removed, noise slower than a repeat "
-            "is not in the floor"
-        )
-    moving = {name: _spread(stacked[name])[0] for name in record.inputs if np.ptp(stacked[name])}
+    if drifting := ", ".join(name for name in names if _drifts(stacked[name])):
+        removed = "its level was removed, noise slower than a repeat is not in the floor"
+        notes.append(f"{drifting} drifts from repeat to repeat: {removed}")
+    std = {name: _noise(stacked[name]) for name in (*names, *record.inputs)}
     return NoiseFloor(
-        signal,
-        samples * record.dt,
-        samples,
-        count - skipped,
-        first + skipped * samples,
-        {name: std for name, (std, _) in spreads.items()},
-        {name: s for name, s in moving.items() if s > EXACT * float(np.ptp(stacked[name]))},
-        tuple(notes),
+        signal=signal,
+        period=samples * record.dt,
+        samples=samples,
+        count=count - skipped,
+        first=first + skipped * samples,
+        std={name: std[name] for name in names},
+        input_std={name: std[name] for name in record.inputs if std[name] > EXACT * float(np.ptp(stacked[name]))},
+        notes=tuple(notes),
     )
 
 
@@ -135,7 +130,10 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
     spread = float(np.ptp(x))
     if not spread or len(x) < 2 * SHORTEST_PERIOD:
         return None
-    tolerance = max(EXACT * spread, _step(x, spread) if tolerance is None else tolerance)
+    if tolerance is None:  # a fine quantisation
+        step = quantisation_step(x) or 0.0
+        tolerance = 1.01 * step if spread >= FINEST_LEVELS * step else 0.0
+    tolerance = max(EXACT * spread, tolerance)
     difference = _lag_differences(x)
     # The sums are exact to about 1e-12 of the energy; the check below is exact.
     bound = tolerance**2 + 1e-9 * spread**2
@@ -161,26 +159,13 @@ def effective_dof(deviation: Array) -> float:
 
 def _lag_differences(x: Array) -> Array:
     """Compute the mean square of x[k + p] - x[k] for the lags p = 0..n // 2."""
-    n = len(x)
-    x = x - x.mean()
-    size = 1 << (2 * n - 1).bit_length()
-    spectrum = np.fft.rfft(x, size)
+    from scipy.signal import correlate
+
+    x, n = x - x.mean(), len(x)
     lags = np.arange(n // 2 + 1)
-    product = np.fft.irfft(np.abs(spectrum) ** 2, size)[lags]
+    product = correlate(x, x, method="fft")[n - 1 + lags]
     energy = np.concatenate([[0.0], np.cumsum(x**2)])
     return np.maximum(0.0, energy[n - lags] + (energy[n] - energy[lags]) - 2.0 * product) / (n - lags)
-
-
-def _step(x: Array, spread: float) -> float:
-    """Return the quantisation step; 0 without or with a coarse quantisation."""
-    gaps = np.diff(np.unique(x))
-    gaps = gaps[gaps > EXACT * spread]
-    if not len(gaps):
-        return 0.0
-    step = float(gaps.min())
-    multiples = gaps / step
-    on_grid = bool(np.abs(multiples - np.round(multiples)).max() < 0.01) and spread / step < 1e6
-    return 1.01 * step if on_grid and spread >= FINEST_LEVELS * step else 0.0
 
 
 def _repeats(x: Array, period: int, tolerance: float) -> bool:
@@ -204,19 +189,11 @@ def _found_period(record: Record, names: list[str]) -> tuple[int, str]:
     if not found:
         raise NoTrustworthyNumber(where, "no recorded input or reference repeats")
     common = lcm(*found.values())
-    signal = ", ".join(found)
     if record.n < 2 * common:
         each = ", ".join(f"{name} {p * record.dt:.4g} s" for name, p in found.items())
-        raise NoTrustworthyNumber(
-            where, f"the common period of {each} is {common * record.dt:.4g} s", "two common periods in the record"
-        )
-    return common, signal
-
-
-def _alike(stacked: Array) -> bool:
-    """Check that the repeats of an input differ by less than 10 % of its standard deviation, or that it is constant."""
-    spread = float(np.sqrt(np.mean((stacked - stacked.mean(axis=0)) ** 2)))
-    return spread <= ROUGHLY * float(stacked.std())
+        text = f"the common period of {each} is {common * record.dt:.4g} s"
+        raise NoTrustworthyNumber(where, text, "two common periods in the record")
+    return common, ", ".join(found)
 
 
 def _transient(outputs: Sequence[Array]) -> int:
@@ -251,11 +228,9 @@ def _drifts(x: Array) -> bool:
     return bool(np.abs(level - level.mean()).max() > max(LEVEL * sigma, EXACT * float(np.ptp(x))))
 
 
-def _spread(x: Array) -> tuple[float, float]:
-    """Estimate the standard deviation of the noise in a sample, and of the level of a drifting output."""
-    count, n = x.shape
-    level, deviation, drifts = x.mean(axis=1), x - x.mean(axis=0), _drifts(x)
+def _noise(x: Array) -> float:
+    """Estimate the standard deviation of the noise in a sample; the level of a drifting output is removed."""
+    (count, n), deviation, drifts = x.shape, x - x.mean(axis=0), _drifts(x)
     if drifts:
-        deviation = deviation - (level - level.mean())[:, None]
-    std = float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - drifts))))
-    return std, float(level.std(ddof=1)) if drifts else 0.0
+        deviation = deviation - deviation.mean(axis=1, keepdims=True)
+    return float(np.sqrt((deviation**2).sum() / ((count - 1) * (n - drifts))))

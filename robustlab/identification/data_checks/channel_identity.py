@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +19,19 @@ from robustlab.dynamics.plant_contract import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord
 from robustlab.identification.greybox.motion_smoother import smooth_motion
-from robustlab.identification.response.response import Stretch, rates, stretch_of
-from robustlab.identification.response.windowed_simulation import MotionResponse, fit_windows
+from robustlab.identification.response.response import MotionResponse, Stretch, fit_windows, rates, stretch_of
 from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
+from robustlab.worst_case_analysis.members import recursion
 
 LONGEST = 600  # samples used
 WINDOW = 100  # samples
 SUSPECT = 10.0  # times the sensors' scatter: a smaller error is not due to a channel
+LEAST_NOISE = 1e-6  # of an output's range: rounding does not set the weight of a record without noise
 LEFT = 0.1  # share of the squared error that may remain with an inverted channel
 
 
@@ -42,23 +44,17 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     names = [s.name for s in plant.outputs if s.name in record.outputs]
     first = max(0, (record.n - LONGEST) // 2)
     whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
-    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
-    u = np.column_stack(list(whole.u.values()))
-    reasons: list[NoTrustworthyNumber] = []
-
-    def error(u: Array, y: Array) -> float:
+    left, impossible = dict[str, float](), None
+    for turned in ("", *whole.u, *names):
+        u = {name: -x if name == turned else x for name, x in whole.u.items()}
+        y = whole.y * np.where([name == turned for name in names], -1.0, 1.0)
         try:
-            return _error(plant, whole, u, y, columns)
+            left[turned] = _error(plant, replace(whole, u=u, y=y), names)
         except NoTrustworthyNumber as none:
-            reasons.append(none)
-            return np.inf
-
-    now = error(u, whole.y)
-    impossible = reasons[0] if reasons else None
-    if now < SUSPECT**2:
-        return {}
-    left = {name: error(_turned(u, j), whole.y) for j, name in enumerate(whole.u)}
-    left |= {name: error(u, _turned(whole.y, j)) for j, name in enumerate(names)}
+            left[turned], impossible = np.inf, none if turned == "" else impossible
+        if left[""] < SUSPECT**2:
+            return {}
+    now = left.pop("")
     best = min(left, key=lambda name: left[name])
     if impossible is not None and not left[best] < SUSPECT**2:
         raise impossible
@@ -66,20 +62,22 @@ def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
     return {best: share} if share < LEFT else {}
 
 
-def _turned(signals: Array, j: int) -> Array:
-    return signals * np.where(np.arange(signals.shape[1]) == j, -1.0, 1.0)
-
-
-def _error(plant: NonlinearPlant, whole: Stretch, u: Array, y: Array, columns: Sequence[int]) -> float:
+def _error(plant: NonlinearPlant, whole: Stretch, names: Sequence[str]) -> float:
     """Compute the mean square of the windowed error in units of the sensors' scatter."""
-    smoothed = smooth_motion(plant, whole.t, u, y, columns)[0]
-    noise = np.maximum(smoothed.noise_std, 1e-6 / whole.weight)
-    judged = Stretch(whole.t, whole.u, y, 1.0 / noise)
-    response = MotionResponse(Course(plant, smoothed.x, u, float(whole.t[1] - whole.t[0])), tuple(columns), judged)
+    response, _ = along_motion(plant, whole, names)
     length = min(WINDOW, len(whole.t))
     starts = np.arange(0, len(whole.t) - length + 1, length)
     left = [fit_windows(response, windows).left for windows in response.responses(starts, length)]
     return float(np.mean(np.concatenate(left) ** 2))
+
+
+def along_motion(plant: NonlinearPlant, whole: Stretch, names: Sequence[str]) -> tuple[MotionResponse, SmoothedRecord]:
+    """Return the response about the smoothed motion of a uniform record, weighted by the noise of each sensor."""
+    columns = tuple(k for k, s in enumerate(plant.outputs) if s.name in names)
+    u, dt = np.column_stack(list(whole.u.values())), float(whole.t[-1] - whole.t[0]) / (len(whole.t) - 1)
+    smoothed = smooth_motion(plant, whole.t, u, whole.y, columns)[0]
+    noise = np.maximum(smoothed.noise_std, LEAST_NOISE / whole.weight)
+    return MotionResponse(Course(plant, smoothed.x, u, dt), columns, replace(whole, weight=1.0 / noise)), smoothed
 
 
 # For a channel in no known unit: thousands, hundreds, degrees, turns, turns per minute.
@@ -100,8 +98,7 @@ SLOPE_MATCH = 1.3
 class Finding(Evidence):
     """A property of a record that is relevant for effect identification."""
 
-    # too-short, unexcited, constant-output, sign, unit, motion: may be fatal; clipped, gaps,
-    # quantisation: never
+    # may be fatal: too-short, unexcited, constant-output, sign, unit, motion; never: clipped, gaps, quantisation
     kind: str
     channel: str  # signal, or ``"t"`` for the time base; two signals are separated by a comma
     found: str
@@ -142,8 +139,7 @@ def contradictions(
 
     ``good``: measured samples, (n,). ``factors``: of each output.
     """
-    signals = (*model.inputs, *(s for s in model.outputs if s.name in outputs))
-    units = {s.name: record.unit(s.name) or s.unit for s in signals}
+    units = {s.name: record.units.get(s.name) or s.unit for s in (*model.inputs, *model.outputs)}
     found = _from_derivatives(model, outputs, record, good, units, factors)
     taken = {name for one in found for name in one.channel.split(", ")}
     return found + _from_responses(model, outputs, units, factors, taken)
@@ -182,21 +178,20 @@ def derivative_slope(y_a: Array, y_b: Array, dt: float, good: Mask) -> tuple[flo
     """Fit the slope of ``y_a`` over the integral of ``y_b``, with its R², in the windows with the best fit."""
     integral = np.concatenate([[0.0], np.cumsum((y_b[1:] + y_b[:-1]) / 2) * dt])
     best = (0.0, 0.0)
-    for parts in (1, 5, 20):
-        length = len(y_a) // parts
-        if length < 20:
+    for length in (len(y_a) // parts for parts in (1, 5, 20)):
+        kept = _windows(good, length)
+        if length < 20 or not kept:
             continue
-        line = np.linalg.qr(np.column_stack([np.ones(length), np.linspace(-1.0, 1.0, length)]))[0]
-        ab = bb = aa = 0.0
-        for first in range(0, length * parts, length):
-            part = slice(first, first + length)
-            if not good[part].all():
-                continue
-            a, b = (x[part] - line @ (line.T @ x[part]) for x in (y_a, integral))
-            ab, bb, aa = ab + float(a @ b), bb + float(b @ b), aa + float(a @ a)
-        if aa > 0 and bb > 0 and ab * ab / (aa * bb) > best[1]:
-            best = (ab / bb, ab * ab / (aa * bb))
+        line = _orthonormal(np.column_stack([np.ones(length), np.linspace(-1.0, 1.0, length)]))
+        a, b = (_projected(np.stack([x[k : k + length] for k in kept]), line) for x in (y_a, integral))
+        slope, share = _fit(a, b[:, None])
+        best = max(best, (float(slope[0]), share), key=lambda found: found[1])
     return best
+
+
+def _windows(good: Mask, length: int) -> list[int]:
+    """Return the starts of the windows in which all samples are good."""
+    return [k for k in range(0, len(good) - length + 1, max(length, 1)) if good[k : k + length].all()]
 
 
 def _from_derivatives(
@@ -204,35 +199,33 @@ def _from_derivatives(
     factors: Sequence[Factors],
 ) -> list[Finding]:  # fmt: skip
     found: list[Finding] = []
+    own = {name: (f.s[0], f.share) for name, f in zip(outputs, factors, strict=True)}
     for a, b, kappa in derivative_pairs(model):
         if a not in outputs or b not in outputs:
             continue
         slope, share = derivative_slope(record[a], kappa * record[b], record.dt, good)
-        if share >= SLOPE_FIT and SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
+        if share < SLOPE_FIT or SLOPE_RANGE[0] <= slope <= SLOPE_RANGE[1]:
             continue
-        if share < SLOPE_FIT:
-            continue
-        evidence: dict[str, object] = {"test": f"{a} against the integral of {b}", "slope": slope, "r2": share}
-        own = [factors[outputs.index(n)] for n in (a, b)]
-        (s_a, sure_a), (s_b, sure_b) = ((f.s[0], f.share) for f in own)
+        test, (s_a, sure_a), (s_b, sure_b) = f"{a} against the integral of {b}", *(own[n] for n in (a, b))
+        because = f"{test}: slope {slope:.3g} instead of 1, R² {share:.3g}"
+        evidence: dict[str, object] = {"test": test, "slope": slope, "r2": share}
         if slope < 0:  # the one that moves against the model's response; both if the record does not determine it
             known = s_a * s_b < 0 and max(sure_a, sure_b) >= 0.5
             wrong = (a, b) if not known else (a,) if s_a < 0 else (b,)
-            found.append(_finding("sign", wrong, -1.0, "", evidence, units))
+            found += _contradiction(wrong, -1.0, because, evidence, units)
         size = abs(slope)
         if SLOPE_RANGE[0] <= size <= SLOPE_RANGE[1]:
             continue
-        near = [(abs(math.log(size / f)), a, f, name) for f, name in unit_factors(units[a]).items()]
-        near += [(abs(math.log(size * f)), b, f, name) for f, name in unit_factors(units[b]).items()]
-        best: dict[str, tuple[float, str]] = {}
-        for distance, name, f, unit in sorted(near):
+        near = [(abs(math.log(size / f)), a, f) for f in unit_factors(units[a])]
+        near += [(abs(math.log(size * f)), b, f) for f in unit_factors(units[b])]
+        best: dict[str, float] = {}
+        for distance, name, f in sorted(near):
             if distance < math.log(SLOPE_MATCH):
-                best.setdefault(name, (f, unit))
+                best.setdefault(name, f)
         if len(best) == 2 and min(sure_a, sure_b) >= 0.3 and s_a and s_b:
             best.pop(b if abs(math.log(abs(s_a))) > abs(math.log(abs(s_b))) else a)
         if best:
-            factor, unit = next(iter(best.values()))
-            found.append(_finding("unit", tuple(best), factor, unit if len(best) == 1 else "", evidence, units))
+            found += _contradiction(tuple(best), next(iter(best.values())), because, evidence, units)
     return found
 
 
@@ -253,51 +246,39 @@ def _from_responses(
         wrong = np.flatnonzero(np.isfinite(sure[:, i]) & (sure[:, i] != 1.0))
         own = likely[:, i][np.isfinite(likely[:, i])]
         if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
-            figures = factors[free[wrong[0]]].evidence(i)
-            found += _sign_or_unit((name,), 1.0 / sure[wrong[0], i], figures, units)
+            found += _contradiction((name,), 1.0 / sure[wrong[0], i], *factors[free[wrong[0]]].evidence(i), units)
     if found:
         return found
     for row, j in zip(sure, free, strict=True):
         wrong = np.flatnonzero(np.isfinite(row) & (row != 1.0))
         if len(wrong) and np.allclose(row[np.isfinite(row)], row[wrong[0]]):
             channels = (outputs[j], *model.input_names) if np.isfinite(likely).sum() == 1 else (outputs[j],)
-            figures = factors[j].evidence(int(wrong[0]))
-            found += _sign_or_unit(channels, row[wrong[0]], figures, units)
+            found += _contradiction(channels, row[wrong[0]], *factors[j].evidence(int(wrong[0])), units)
     return found
 
 
-def _sign_or_unit(
-    channels: tuple[str, ...], factor: float, evidence: dict[str, object], units: dict[str, str]
+def _contradiction(
+    channels: tuple[str, ...], factor: float, because: str, evidence: dict[str, object], units: dict[str, str]
 ) -> list[Finding]:
-    """Interpret a factor as a wrong sign, a wrong unit, or both."""
-    found = [_finding("sign", channels, -1.0, "", evidence, units)] if factor < 0 else []
-    size = abs(factor)
+    """Interpret recorded over expected values of a channel, or of one of several, as a wrong sign, unit, or both."""
+    found = [turned_sign(channels, because, {**evidence, "factor": -1.0, "unit": ""})] if factor < 0 else []
+    first, size = channels[0], abs(float(factor))
     if not math.isclose(size, 1.0):
-        known = unit_factors(units[channels[0]]).items()
+        known = unit_factors(units[first]).items() if len(channels) == 1 else ()
         unit = next((name for f, name in known if abs(math.log(f / size)) < 1e-6), "")
-        found.append(_finding("unit", channels, float(size), unit, evidence, units))
+        expected, either = units[first] or "the model's unit", " or ".join(channels)
+        text = f"{either} seems to be recorded in {unit or 'another unit'}: its values are about {size:.4g} times "
+        text, hint = f"{text}those in {expected} ({because})", f"if it is so, divide {first} by {size:.6g}"
+        own = {**evidence, "factor": size, "unit": unit}
+        found.append(Finding("unit", ", ".join(channels), text, expected, hint, True, own))
     return found
 
 
-def _finding(
-    kind: str, channels: tuple[str, ...], factor: float, unit: str, evidence: dict[str, object], units: dict[str, str]
-) -> Finding:
-    """State that a channel contradicts the model, or one of several; ``factor``: recorded values over expected ones."""
-    first, either, e = channels[0], " or ".join(channels), evidence
-    if "slope" in e:
-        because = f"{e['test']}: slope {e['slope']:.3g} instead of 1, R² {e['r2']:.3g}"
-    else:
-        because = f"its response is {e['found']:.3g} times the model's, R² {e['r2']:.3g}"
-    if kind == "sign":
-        text = f"{either} seems to be measured with the other sign ({because})"
-        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
-        expected = "the model's sign"
-    else:
-        expected = units[first] or "the model's unit"
-        as_if = f"seems to be recorded in {unit or 'another unit'}"
-        text = f"{either} {as_if}: its values are about {factor:.4g} times those in {expected} ({because})"
-        hint = f"if it is so, divide {first} by {factor:.6g}"
-    return Finding(kind, ", ".join(channels), text, expected, hint, True, {**e, "factor": factor, "unit": unit})
+def turned_sign(channels: tuple[str, ...], because: str, evidence: dict[str, object]) -> Finding:
+    either = " or ".join(channels)
+    text = f"{either} seems to be measured with the other sign ({because})"
+    hint = f"check the wiring and the counting direction; if it is so, turn the sign of {either} in the record"
+    return Finding("sign", ", ".join(channels), text, "the model's sign", hint, True, evidence)
 
 
 class Factors(NamedTuple):
@@ -309,8 +290,10 @@ class Factors(NamedTuple):
     raw: Array  # signs of the raw responses, 0 if undetermined, (n_u,)
     window: float
 
-    def evidence(self, i: int) -> dict[str, object]:
-        return {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
+    def evidence(self, i: int) -> tuple[str, dict[str, object]]:
+        """Return the text and the figures of the factor of input i."""
+        data = {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
+        return f"its response is {self.s[i]:.3g} times the model's, R² {self.share:.3g}", data
 
 
 def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:
@@ -340,11 +323,10 @@ def response_factors(
 
     ``record``: uniformly sampled; windows with samples that are not ``good`` (n,) are excluded.
     """
-    point = model.operating_point
-    at_y = dict(zip(model.output_names, point.y, strict=True)) if point else {}
-    at_u = dict(zip(model.input_names, point.u, strict=True)) if point else {}
-    u = np.column_stack([record.inputs[name] - at_u.get(name, 0.0) for name in model.input_names])
-    y = np.column_stack([record.outputs[name] - at_y.get(name, 0.0) for name in outputs])
+    u = np.column_stack([record.inputs[name] for name in model.input_names])
+    y = np.column_stack([record.outputs[name] for name in outputs])
+    if point := model.operating_point:
+        u, y = u - point.u, y - [point.y[model.output_names.index(name)] for name in outputs]
     growth, shortest = float(rates(model).real.max(initial=0.0)), max(40, 8 * (2 * model.n_states + 1))
     lengths = [n for n in (record.n // parts for parts in (1, 6, 30))
                if n >= shortest and growth * n * record.dt < math.log(GROWTH)]  # fmt: skip
@@ -358,8 +340,7 @@ def response_factors(
 def _factors(
     model: StateSpaceModel, outputs: tuple[str, ...], dt: float, u: Array, y: Array, good: Mask, length: int
 ) -> list[Factors]:
-    """Fit the factors of each output in windows of one length."""
-    kept = [k for k in range(0, len(u) - length + 1, length) if good[k : k + length].all()]
+    kept = _windows(good, length)
     if not kept:
         return []
     u, y = (np.stack([x[k : k + length] for k in kept]) for x in (u, y))
@@ -369,16 +350,12 @@ def _factors(
         phi, gamma, _ = transition(StateSpaceModel(phi, gamma, model.C, np.zeros((len(model.C), gamma.shape[1]))), dt)
     forced = []  # outputs (windows, n, n_y_of_model) of each input from zero state
     for i in range(n_u):
-        x = np.zeros((length + 1, len(kept), n_x))
-        for k in range(length):
-            x[k + 1] = x[k] @ phi.T + u[:, k, i, None] * gamma[:, i]
-        forced.append(x[:-1].transpose(1, 0, 2) @ model.C.T + u[..., i : i + 1] * model.D[:, i])
+        x = recursion(phi[None], u[:, :-1, i, None] * gamma[:, i], np.zeros(n_x))
+        forced.append(x @ model.C.T + u[..., i : i + 1] * model.D[:, i])
+    free_states = recursion(phi[None], np.zeros((n_x, length - 1, n_x)), np.eye(n_x)[:, None])
     found = []
     for row, y_j in zip([model.output_names.index(name) for name in outputs], np.moveaxis(y, 2, 0), strict=True):
-        free = np.empty((length, n_x))  # output over a window from a unit of each state at its start
-        line = model.C[row]
-        for k in range(length):
-            free[k], line = line, line @ phi
+        free = (free_states @ model.C[row]).T  # output over a window from a unit of each state at its start
         held = np.vstack([np.zeros((1, n_x)), np.cumsum(free[:-1] @ gamma[:, n_u:], axis=0)])
         constant = _orthonormal(np.column_stack([free, held, np.ones(length)]))
         target = _projected(y_j, constant)
@@ -413,8 +390,7 @@ def _fit(target: Array, columns: Array) -> tuple[Array, float]:
 
 def _orthonormal(columns: Array) -> Array:
     """Return an orthonormal basis (n, r) of the span of the columns."""
+    from scipy.linalg import orth
+
     size = np.linalg.norm(columns, axis=0)
-    if not size.any():
-        return np.zeros((len(columns), 0))
-    left, sigma, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    return left[:, sigma > RANK * sigma[0]]
+    return orth(columns[:, size > 0] / size[size > 0], RANK) if size.any() else np.zeros((len(columns), 0))

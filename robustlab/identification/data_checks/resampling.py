@@ -6,6 +6,7 @@ Positions far from zero are measured from a point within the strokes: otherwise 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -62,15 +63,12 @@ def uniform(record: Record, dt: float | None = None) -> UniformRecord:
     count = int(np.floor(record.duration / step + SAME_TIME)) + 1
     clock = record.t[0] + step * np.arange(count)
     near = NEAR * own
-    outputs: dict[str, Array] = {}
-    valid: dict[str, Mask] = {}
+    outputs, valid = dict[str, Array](), dict[str, Mask]()
     for name, samples in record.outputs.items():
         outputs[name], own_sample, apart = interpolated(clock, record.t, samples, step)
         valid[name] = own_sample | (apart <= near)
     inputs = {name: held(clock, record.t, samples, step) for name, samples in record.inputs.items()}
-    return UniformRecord(
-        Record(clock, inputs, outputs, record.units, record.name, record.meaning), valid, _gaps(record.t, own)
-    )
+    return UniformRecord(replace(record, t=clock, inputs=inputs, outputs=outputs), valid, _gaps(record.t, own))
 
 
 def join_clocks(first: Record, second: Record, dt: float | None = None) -> Record:
@@ -109,7 +107,6 @@ def join_clocks(first: Record, second: Record, dt: float | None = None) -> Recor
 
 
 def refuse_gaps(where: str, gaps: Sequence[Gap], action: str) -> None:
-    """Refuse a record with missing samples."""
     if gaps:
         gap = gaps[0]
         found = f"{gap.missing} samples missing from {gap.start:.9g} s to {gap.stop:.9g} s"
@@ -154,5 +151,4 @@ def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, f
 
 def counted_from(record: Record, datum: dict[str, float]) -> Record:
     """Subtract the datum from the positions of a record."""
-    outputs = {name: y - datum.get(name, 0.0) for name, y in record.outputs.items()}
-    return Record(record.t, record.inputs, outputs, record.units, record.name, record.meaning)
+    return replace(record, outputs={name: y - datum.get(name, 0.0) for name, y in record.outputs.items()})

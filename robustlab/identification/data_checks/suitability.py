@@ -22,9 +22,17 @@ from robustlab.identification.data_checks.channel_identity import (
     contradictions,
     response_factors,
     turned_channels,
+    turned_sign,
 )
 from robustlab.identification.data_checks.resampling import UniformRecord, uniform
-from robustlab.identification.response.response import Response, longest_period, matched, response_of, with_units
+from robustlab.identification.response.response import (
+    Response,
+    longest_period,
+    matched,
+    response_of,
+    slowest_time_constant,
+    with_units,
+)
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
 
@@ -86,16 +94,14 @@ class RecordCheck(Evidence):
 
     def numbers(self) -> dict[str, Any]:
         """Return the time base, the remarks, and the range of each channel by name."""
-        return {"record": self._clock(), "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
-
-    def _clock(self) -> dict[str, object]:
-        return {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
+        clock = {name: getattr(self.record, name) for name in ("n", "duration", "dt", "is_uniform")}
+        return {"record": clock, "remarks": self.remarks, "channels": {c["name"]: c for c in self.channels}}
 
     def to_json(self) -> dict[str, object]:
         """Return all but the samples."""
-        channels: dict[str, object] = {"channels": self.channels, "remarks": self.remarks}
         fit = {} if self.suitability is None else {"suitability": self.suitability.to_json()}
-        return {"name": self.record.name, **self._clock(), **channels, **fit, "status": self.status}
+        channels = {"channels": self.channels, "remarks": self.remarks}
+        return {"name": self.record.name, **self.numbers()["record"], **channels, **fit, "status": self.status}
 
 
 def check_record(record: Record, plant: Any = None) -> RecordCheck:
@@ -104,16 +110,13 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
     if not record.is_uniform:
         steps = np.diff(record.t)
         k = int(np.argmax(np.abs(steps - record.dt)))
-        jitter = summarise_clock(record.t).jitter
-        remarks.append(
-            f"t: steps of {steps.min():.6g} to {steps.max():.6g} s, the oddest after sample {k}; "
-            f"jitter {jitter:.3g} s rms beside gaps"
-        )
+        jitter = f"jitter {summarise_clock(record.t).jitter:.3g} s rms without gaps"
+        size = f"{steps.min():.6g} to {steps.max():.6g} s"
+        remarks.append(f"t: steps of {size}, the most unusual after sample {k}; {jitter}")
     remarks += [f"t: {line}" for line in record.meaning.get("t", "").splitlines()]  # resampling while reading
     for side, group in (("input", record.inputs), ("output", record.outputs)):
         for name, x in group.items():
-            rms = float(np.sqrt(np.mean(x**2)))
-            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": rms}
+            sizes = {"least": float(x.min()), "greatest": float(x.max()), "rms": float(np.sqrt(np.mean(x**2)))}
             channels.append({"name": name, "side": side, "unit": record.units[name], **sizes})
             if not record.units[name]:
                 remarks.append(f"{name}: no unit stated")
@@ -129,22 +132,24 @@ def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str
     """
     constant = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
     warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant]
-    for name in outputs:
-        if runs := _clipped(record, name):
-            where = f"(first: samples {runs[0][0]} to {runs[0][1] - 1})"
-            warnings.append(f"{name} looks clipped: {_at_the_end(record, runs)} {where}")
+    for f in _clipped(record, outputs):
+        runs: Any = f.evidence["runs"]
+        warnings.append(f"{f.channel} looks {f.found} (first: samples {runs[0][0]} to {runs[0][1] - 1})")
     return warnings
 
 
-def _clipped(record: Record, name: str) -> list[tuple[int, int]]:
-    """Return `clipped_runs` of a channel, or none if they are a negligible part of the record."""
-    runs = clipped_runs(record[name])
-    return runs if sum(last - first for first, last in runs) > CLIPPED_SHARE * record.n else []
-
-
-def _at_the_end(record: Record, runs: list[tuple[int, int]]) -> str:
-    count = sum(last - first for first, last in runs)
-    return f"{count} of {record.n} samples are at the end of its range, reached at full slope"
+def _clipped(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+    """Find the clipped outputs, if that is not a negligible part of the record."""
+    found: list[Finding] = []
+    for name in outputs:
+        y, runs = record[name], clipped_runs(record[name])
+        count = sum(last - first for first, last in runs)
+        if count > CLIPPED_SHARE * record.n:
+            text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
+            hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
+            evidence = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
+            found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
+    return found
 
 
 def clipped_runs(y: Array) -> list[tuple[int, int]]:
@@ -162,10 +167,10 @@ def clipped_runs(y: Array) -> list[tuple[int, int]]:
     for extreme in (y.min(), y.max()):
         held = np.concatenate([[0], (y == extreme).astype(int), [0]])
         change = np.flatnonzero(np.diff(held))
-        for first, last in zip(change[::2], change[1::2], strict=True):
+        for first, last in change.reshape(-1, 2).tolist():
             before = step[max(0, first - 2) : first]
             if last - first >= SHORTEST_CLIP and before.max(initial=0.0) >= 0.5 * usual:
-                runs.append((int(first), int(last)))
+                runs.append((first, last))
     return sorted(runs)
 
 
@@ -233,31 +238,28 @@ def suitability(plant: Any, record: Record) -> Suitability:
     >>> suitability(axis, run).fit, suitability(axis, wrong).fatal[0].kind
     (True, 'sign')
     """
-    if isinstance(plant, NonlinearPlant):
-        shared, _ = matched(plant.inputs, plant.outputs, record)
-        record = with_units(record, (*plant.inputs, *shared))
-        level = uniform(record)
-        inputs, outputs = tuple(s.name for s in plant.inputs), tuple(s.name for s in shared)
-        findings = [*_clock(level), *_samples(record, outputs)]
-        # A dead sensor would indicate a joint at standstill.
-        findings += [replace(f, fatal=True) for f in _dead(record, outputs)]
-        findings += _unexcited(record, inputs, outputs, {})
+    nonlinear = isinstance(plant, NonlinearPlant)
+    response = None if nonlinear else response_of(plant, record)
+    outputs = response.outputs if response else matched(plant.inputs, plant.outputs, record)[0]
+    model = response.model if response else plant
+    names, inputs = tuple(s.name for s in outputs), tuple(s.name for s in model.inputs)
+    record = with_units(record, (*model.inputs, *outputs))
+    level = uniform(record)
+    # A dead sensor of a nonlinear plant would indicate a joint at standstill.
+    dead = [replace(f, fatal=f.fatal or nonlinear) for f in _dead(record, names)]
+    findings = [*_clock(level), *_clipped(record, names), *_quantised(record, names), *dead]
+    if response is None:
+        findings += _unexcited(record, inputs, names, {})
         if not isinstance(plant, SteppedPlant) and not any(f.fatal for f in findings):
             findings += _along_motion(plant, level)
     else:
-        response = response_of(plant, record)
-        record = response.with_units(record)
-        level = uniform(record)
-        outputs, inputs = response.output_names, response.model.input_names
-        findings = [*_clock(level), *_samples(record, outputs), *_dead(record, outputs)]
         findings += _too_short(response, record)
-        good = np.logical_and.reduce([level.valid[name] for name in outputs])
-        factors = response_factors(response.model, outputs, level.record, good)
-        shown = {name: found.share for name, found in zip(outputs, factors, strict=True)}
-        unexcited = _unexcited(record, inputs, outputs, shown)
+        good = np.logical_and.reduce([level.valid[name] for name in names])
+        factors = response_factors(response.model, names, level.record, good)
+        unexcited = _unexcited(record, inputs, names, {n: f.share for n, f in zip(names, factors, strict=True)})
         findings += unexcited
         if not any(finding.fatal for finding in unexcited):
-            findings += contradictions(response.model, outputs, level.record, good, factors)
+            findings += contradictions(response.model, names, level.record, good, factors)
     order = sorted(findings, key=lambda finding: not finding.fatal)
     return Suitability(record.name, tuple(order))
 
@@ -274,56 +276,43 @@ def quantisation_step(y: Array) -> float | None:
     (0.025, None)
     """
     levels = np.unique(y)
-    if len(levels) < 3:
-        return None
     # Single precision has its own grid; steps must be much larger.
     kind = np.float32 if (y.astype(np.float32) == y).all() else np.float64
     rounding = 16 * float(np.finfo(kind).eps) * float(np.abs(levels).max())
     apart = np.diff(levels)
     apart = apart[apart > rounding]  # one level written in two ways
-    if not len(apart):
+    if len(levels) < 3 or not len(apart):
         return None
     step = float(apart.min())
     near = apart[apart < STEPS_APART * step]
+    steps = np.round(near / step)
     enough = len(near) >= min(FEWEST_DIFFERENCES, len(levels) - 1)
-    multiple = near / step
-    if not enough or step < 10 * rounding or (np.abs(multiple - np.round(multiple)) > MULTIPLE).mean() > 0.01:
+    if not enough or step < 10 * rounding or (np.abs(near / step - steps) > MULTIPLE).mean() > 0.01:
         return None
     # The mean over all differences reduces the rounding of one; 9 digits remove the rest.
-    return float(np.format_float_scientific(near.sum() / np.round(multiple).sum(), precision=9))
+    return float(np.format_float_scientific(near.sum() / steps.sum(), precision=9))
 
 
 # --- time base and samples -------------------------------------------------------------------------------------------
 
 
 def _clock(level: UniformRecord) -> list[Finding]:
-    found: list[Finding] = []
-    if level.gaps:
-        lost = sum(gap.missing for gap in level.gaps)
-        longest = max(level.gaps, key=lambda gap: gap.missing)
-        text = (
-            f"{lost} samples missing in {len(level.gaps)} gaps, the longest from {longest.start:.6g} s to "
-            f"{longest.stop:.6g} s"
-        )
-        evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
-        found.append(Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence))
-    return found
+    if not level.gaps:
+        return []
+    lost, longest = sum(gap.missing for gap in level.gaps), max(level.gaps, key=lambda gap: gap.missing)
+    where = f"the longest from {longest.start:.6g} s to {longest.stop:.6g} s"
+    evidence: dict[str, object] = {"missing": lost, "gaps": [gap._asdict() for gap in level.gaps]}
+    text = f"{lost} samples missing in {len(level.gaps)} gaps, {where}"
+    return [Finding("gaps", "t", text, "", "only windows without gaps are used", False, evidence)]
 
 
-def _samples(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
+def _quantised(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     found: list[Finding] = []
     for name in outputs:
-        y, unit = record[name], record.unit(name)
-        if runs := _clipped(record, name):
-            count = sum(last - first for first, last in runs)
-            text = f"clipped: {_at_the_end(record, runs)}"
-            evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
-            hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
-            found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
-        step = quantisation_step(y)
-        if step:
-            evidence = {"step": step, "noise": step / np.sqrt(12.0)}
-            found.append(Finding("quantisation", name, f"steps of {step:.6g} {unit}".rstrip(), "", "", False, evidence))
+        if step := quantisation_step(record[name]):
+            text = f"steps of {step:.6g} {record.unit(name)}".rstrip()
+            evidence: dict[str, object] = {"step": step, "noise": step / np.sqrt(12.0)}
+            found.append(Finding("quantisation", name, text, "", "", False, evidence))
     return found
 
 
@@ -332,10 +321,9 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
     hint = "check its cable and scaling, or leave it out, with outputs=... for the others"
     found: list[Finding] = []
     for name in dead:
-        value = float(record[name][0])
-        text = f"stands at {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
-        everything = len(dead) == len(outputs)
-        found.append(Finding("constant-output", name, text, "an output that moves", hint, everything, {"value": value}))
+        value, fatal = float(record[name][0]), len(dead) == len(outputs)
+        text = f"is {value:.6g} {record.unit(name)}".rstrip() + " throughout: a dead sensor"
+        found.append(Finding("constant-output", name, text, "an output that moves", hint, fatal, {"value": value}))
     return found
 
 
@@ -347,17 +335,16 @@ def _too_short(response: Response, record: Record) -> list[Finding]:
 
     A mode that decays more slowly than the record lasts behaves as an integrator within it: reported, not fatal.
     """
-    slowest, period = response.slowest_time_constant(), longest_period(response.model)
-    text = f"lasts {record.duration:.6g} s"
+    slowest, period = slowest_time_constant(response.model), longest_period(response.model)
+    if record.duration >= (period or slowest):
+        return []
+    text, expected, hint = f"lasts {record.duration:.6g} s", "", f"record {3 * (period or slowest):.3g} s or more"
     evidence: dict[str, object] = {"duration": record.duration, "time_constant": slowest}
-    if record.duration < period:
-        expected = f"at least one period of the model's slowest oscillation, {period:.6g} s"
-        hint = f"record {3 * period:.3g} s or more"
-        return [Finding("too-short", "t", text, expected, hint, True, {**evidence, "period": period})]
-    if record.duration < slowest and not period:
+    if period:
+        expected, evidence["period"] = f"at least one period of the model's slowest oscillation, {period:.6g} s", period
+    else:
         text += f", less than the model's slowest time constant of {slowest:.6g} s: how that mode ends is not seen"
-        return [Finding("too-short", "t", text, "", f"record {3 * slowest:.3g} s or more", False, evidence)]
-    return []
+    return [Finding("too-short", "t", text, expected, hint, bool(period), evidence)]
 
 
 def _unexcited(
@@ -367,9 +354,8 @@ def _unexcited(
     still = [name for name in alive if not _moves(record[name], shown.get(name, 0.0))]
     constant = [name for name in inputs if not np.ptp(record[name])]
     nothing = bool(alive) and len(still) == len(alive)
-    found: list[Finding] = []
     if inputs and len(constant) == len(inputs):
-        what = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
+        values = ", ".join(f"{name} = {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant)
         if nothing:
             reason = "no output leaves its noise either"
         elif any(record[name].any() for name in constant):
@@ -378,12 +364,13 @@ def _unexcited(
             reason = "free motion alone, which tells no gain of an input"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
-        text, expected = f"constant: {what}; {reason}", "an input that moves"
+        text, expected = f"constant: {values}; {reason}", "an input that moves"
         return [Finding("unexcited", ", ".join(inputs), text, expected, hint, nothing, evidence)]
+    found: list[Finding] = []
+    hint = f"excite more strongly: {', '.join(inputs)} is too small to move it"
     for name in still:
         noise = _noise(record[name])
         text = f"does not leave its noise ({noise:.3g} {record.unit(name)}".rstrip() + " rms from sample to sample)"
-        hint = f"excite more strongly: {', '.join(inputs)} is too small to move it"
         evidence = {"spread": float(record[name].std()), "noise": noise}
         found.append(Finding("unexcited", name, text, "an output that moves", hint, nothing, evidence))
     return found
@@ -395,13 +382,13 @@ def _noise(y: Array) -> float:
 
 
 def _moves(y: Array, share: float) -> bool:
+    from scipy.signal import detrend
+
     if share >= RESPONDS:
         return True
-    step = quantisation_step(y)
-    if step and np.ptp(y) < FEWEST_STEPS * step:
+    if np.ptp(y) < FEWEST_STEPS * (quantisation_step(y) or 0.0):
         return False
-    t = np.linspace(-1.0, 1.0, len(y))
-    rest = y - np.polyval(np.polyfit(t, y, 1), t)
+    rest = detrend(y)
     before = np.column_stack([rest[1:-1], rest[:-2]])
     # The error of a prediction from two samples is near zero even for fast oscillations.
     unpredicted = float(np.std(rest[2:] - before @ np.linalg.lstsq(before, rest[2:], rcond=None)[0]))
@@ -413,19 +400,16 @@ def _moves(y: Array, share: float) -> bool:
 
 def _along_motion(plant: NonlinearPlant, level: UniformRecord) -> list[Finding]:
     """Check that a nonlinear plant can have the measured motion, and find channels with a wrong sign."""
-    record = level.record
-    positions = ", ".join(s.name for s in plant.outputs if s.name in record.outputs)
+    positions = ", ".join(s.name for s in plant.outputs if s.name in level.record.outputs)
     try:
-        turned = turned_channels(plant, record)
+        turned = turned_channels(plant, level.record)
     except InputError as wrong:
         return [Finding("motion", positions, wrong.found, wrong.expected or "", wrong.hint or "", True, {})]
     except NoTrustworthyNumber as none:
         hint = "check signs, units and zeros of the outputs"
         text = f"show a motion that {plant.name} cannot have: {none.found}"
         return [Finding("motion", positions, text, "positions within its reach", hint, True, {})]
-    found = []
-    for name, share in turned.items():
-        text = f"seems to be measured with the other sign (inverted, {100 * share:.2g} % of the squared error remains)"
-        hint = f"check the wiring and the counting direction; if it is so, turn the sign of {name} in the record"
-        found.append(Finding("sign", name, text, "the model's sign", hint, True, {"error_left": share}))
-    return found
+    return [
+        turned_sign((name,), f"inverted, {100 * share:.2g} % of the squared error remains", {"error_left": share})
+        for name, share in turned.items()
+    ]

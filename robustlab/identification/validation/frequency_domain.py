@@ -8,7 +8,7 @@ disproves gamma (Smith, Doyle 1992; Huang, Zhang 2007, theorem 2.1).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,7 +36,6 @@ from robustlab.identification.validation.validation_result import (
     BlockSize,
     Validation,
     concluded,
-    in_own_units,
     require_replay,
 )
 from robustlab.linear_analysis.frequency import frequency_response
@@ -101,18 +100,16 @@ class FrequencyData(Tabular, Evidence):
         outputs: tuple[str, ...] | list[str],
         name: str = "frequency response",
     ) -> None:
-        w = real_array("omega", omega, 1, name)
+        w, shape = real_array("omega", omega, 1, name), (np.size(omega), len(outputs))
         try:
             G = np.array(response, dtype=np.complex128)
         except (TypeError, ValueError):
             raise InputError(name, f"response: {response!r}", "complex numbers") from None
         G = G[:, None] if G.ndim == 1 else G
-        if w.ndim != 1 or not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
+        if not len(w) or not np.isfinite(w).all() or (np.diff(w) <= 0).any() or w[0] < 0:
             raise InputError(name, "omega", "finite increasing frequencies in rad/s, shape (n,)")
-        if G.shape != (len(w), len(outputs)) or not np.isfinite(G).all():
-            raise InputError(
-                name, f"response of shape {G.shape}", f"finite numbers of shape ({len(w)}, {len(outputs)})"
-            )
+        if G.shape != shape or not np.isfinite(G).all():
+            raise InputError(name, f"response of shape {G.shape}", f"finite numbers of shape {shape}")
         vars(self).update(omega=w, response=G, input=input, outputs=tuple(outputs), name=name)
         self.__post_init__()
 
@@ -136,20 +133,17 @@ class SpectralProblem:
     """The affine maps of this module, in scaled signals."""
 
     omega: Array  # frequencies in rad/s, shape (n,)
-    # M11, M21, z0, e: (n, p, q), (n, n_y, q), (n, p), (n, n_y)
-    M11: ComplexArray
-    M21: ComplexArray
-    z0: ComplexArray
-    e: ComplexArray
-    # weight of a line in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
-    weight: Array
+    M11: ComplexArray  # (n, p, q)
+    M21: ComplexArray  # (n, n_y, q)
+    z0: ComplexArray  # (n, p)
+    e: ComplexArray  # (n, n_y)
+    weight: Array  # of a line in the energy of a real signal (n,): 2, and 1 at zero and at the Nyquist frequency
     real: NDArray[np.bool_]  # lines at which every spectrum of a real signal is real (n,)
     total: bool  # true: ``sum_k weight_k |n_kj|^2 <= radius_j^2`` for each output. False: ``|n_kj| <= 1`` at each line.
     radius: Array  # (n_y,)
-    # blocks, names, scale: slices of w and z of each block, names, and the divisor of w and z of the block
-    blocks: tuple[tuple[slice, slice], ...]
+    blocks: tuple[tuple[slice, slice], ...]  # slices of w and z of each
     names: tuple[str, ...]
-    scale: Array
+    scale: Array  # divisor of w and z of each
 
     @property
     def n(self) -> int:
@@ -178,31 +172,39 @@ class SpectralProblem:
                 found[:, i] = np.where(top > 0, top / under, 0.0)
         return found
 
-    def scaled(self) -> SpectralProblem:
-        """Scale w and z of each block by its nominal z, and remove every block where its z is zero."""
-        M11, M21, z0 = self.M11.copy(), self.M21.copy(), self.z0.copy()
-        scales = []
-        for rows, cols in self.blocks:
-            size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
-            M21[:, :, rows] *= size
-            M11[:, :, rows] *= size
-            M11[:, cols] /= size
-            z0[:, cols] /= size
-            scales.append(size)
-        loop = float(np.abs(M11).max(initial=0.0))
-        silent = []
-        for _, cols in self.blocks:
-            size = np.linalg.norm(z0[:, cols], axis=1)
-            silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
-            z0[np.ix_(silent[-1], range(cols.start, cols.stop))] = 0.0
-        # An undriven well-posed loop is at zero: (I - M11 Delta) z = 0.
-        undriven = np.all(silent, axis=0)
-        for (rows, cols), quiet in zip(self.blocks, silent, strict=True):
-            alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
-            still = quiet if alone else undriven
-            M21[np.ix_(still, range(M21.shape[1]), range(rows.start, rows.stop))] = 0.0
-            M11[np.ix_(still, range(M11.shape[1]), range(rows.start, rows.stop))] = 0.0
-        return replace(self, M11=M11, M21=M21, z0=z0, scale=np.array(scales))
+
+def _problem(
+    uncertain: UncertainModel, omega: Array, response: ComplexArray, forced: ComplexArray, y: ComplexArray,
+    bound: Array, *, weight: Array, real: NDArray[np.bool_], total: bool, radius: Array,
+) -> SpectralProblem:  # fmt: skip
+    """Scale w and z of each block by its nominal z, and remove every block where its z is zero.
+
+    ``response``: of M, (n, p + n_y, q + n_u). ``forced``: nominal z and outputs. ``y``: measured outputs.
+    """
+    blocks, (q, p) = tuple(block_slices(uncertain.blocks)), uncertain.delta_shape
+    M11, M21, z0 = response[:, :p, :q].copy(), response[:, p:, :q] / bound[..., None], forced[:, :p].copy()
+    scales, silent = [], []
+    for rows, cols in blocks:
+        size = float(np.sqrt((np.abs(z0[:, cols]) ** 2).mean())) or 1.0
+        M21[:, :, rows] *= size
+        M11[:, :, rows] *= size
+        M11[:, cols] /= size
+        z0[:, cols] /= size
+        scales.append(size)
+    loop = float(np.abs(M11).max(initial=0.0))
+    for _, cols in blocks:
+        size = np.linalg.norm(z0[:, cols], axis=1)
+        silent.append(size <= SILENT * max(float(size.max(initial=0.0)), 1e-300))
+        z0[silent[-1], cols] = 0.0
+    # An undriven well-posed loop is at zero: (I - M11 Delta) z = 0.
+    undriven = np.all(silent, axis=0)
+    for (rows, cols), quiet in zip(blocks, silent, strict=True):
+        alone = np.abs(M11[:, cols]).max(initial=0.0) <= SILENT * max(loop, 1e-3)  # no w can make this z move
+        still = quiet if alone else undriven
+        M21[still, :, rows] = 0.0
+        M11[still, :, rows] = 0.0
+    names, e = tuple(b.name for b in uncertain.blocks), (y - forced[:, p:]) / bound
+    return SpectralProblem(omega, M11, M21, z0, e, weight, real, total, radius, blocks, names, np.array(scales))
 
 
 @dataclass(frozen=True)
@@ -212,20 +214,27 @@ class Spectrum:
     problem: SpectralProblem
     outputs: tuple[Signal, ...]  # compared outputs with units
     bound: Mapping[str, float]  # noise bound of each
-    # t, y, nominal: one mean period of the record, its outputs (n_t, n_y), and the nominal steady state; for a
-    # frequency response its frequencies and the magnitudes
-    t: Array
-    y: Array
-    nominal: Array
-    complex_y: ComplexArray  # the measured spectrum (n, n_y), in the units of the outputs
-    unit_noise: Array  # divisor of ``e``, shape (n, n_y) or (1, n_y)
+    t: Array  # one mean period of the record, (n_t,), or the frequencies of a response
+    y: Array  # its outputs, (n_t, n_y), or the magnitudes
+    forced: ComplexArray  # nominal spectrum of the outputs, (n, n_y)
+    unit_noise: Array  # divisor of ``e``, (n, n_y) or (1, n_y)
     assumptions: tuple[str, ...]
+    offset: Any = 0.0  # mean of the outputs of a model that integrates, (n_y,)
+
+    def simulated(self, w: ComplexArray) -> Array:
+        """Compute the outputs with w: a period, or magnitudes."""
+        lines = self.forced + np.einsum("kij,kj->ki", self.problem.M21, w) * self.unit_noise
+        if not self.problem.total:
+            return np.abs(lines)
+        n = len(self.t)
+        whole = np.zeros((n // 2 + 1, lines.shape[1]), dtype=complex)
+        whole[len(whole) - len(lines) :] = lines * n  # all, or all but the mean
+        return np.asarray(np.fft.irfft(whole, n, axis=0), dtype=np.float64) + self.offset
 
 
 def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Compute the lines of a record's mean period; the noise bound is the root mean square over the periods used."""
     where = f"validate {record.name}"
-    _refused_blocks(uncertain, where)
     recorded = prepared(uncertain, record, noise, at_rest=True)
     try:
         floor = noise_floor(record, outputs=[s.name for s in recorded.outputs])
@@ -249,14 +258,14 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
     lines = np.arange(n // 2 + 1)
     edge = (lines == 0) | (2 * lines == n)
     M, (q, p) = recorded.uncertain.M, uncertain.delta_shape
-    changed = f"what changes between them is {100 * np.sqrt(changing.max()):.3g} % of the noise bound"
+    changed = f"the change between them is {100 * np.sqrt(changing.max()):.3g} % of the noise bound"
     assumptions = [
         f"steady state over {floor.count} periods of {floor.period:.6g} s from sample {floor.first} on; {changed}",
         "the root mean square of the noise over these periods is within its bound",
     ]
     if M.dt == 0:
         assumptions.append(f"u and w are held between samples of {dt:.6g} s")
-    poles = np.linalg.eigvals(M.A) if len(M.A) else np.zeros(0)
+    poles = np.linalg.eigvals(M.A)
     rounding = 1e-9 * max(float(np.abs(poles).max(initial=0.0)), 1.0)
     integrates = bool((np.abs(poles - (1.0 if M.dt else 0.0)) <= rounding).any())
     if integrates:
@@ -267,91 +276,48 @@ def spectrum_of_record(uncertain: UncertainModel, record: Record, noise: Mapping
     response = frequency_response(StateSpaceModel(A, B, M.C, M.D, dt=dt), 2 * np.pi * f)
     U, Y = np.fft.rfft(u, axis=0)[kept] / n, np.fft.rfft(y, axis=0)[kept] / n
     forced = np.einsum("kij,kj->ki", response[:, :, q:], U)
-    e = (Y - forced[:, p:]) / recorded.bound
-    left, weight = np.sqrt(1 - changing), np.where(edge, 1.0, 2.0)[kept]
-    problem = SpectralProblem(
-        2 * np.pi * f, response[:, :p, :q], response[:, p:, :q] / recorded.bound[None, :, None], forced[:, :p], e,
-        weight=weight, real=edge[kept], total=True, radius=left, **_layout(uncertain),
-    ).scaled()  # fmt: skip
-    whole = np.zeros((n // 2 + 1, len(recorded.outputs)), dtype=complex)
-    whole[kept] = forced[:, p:] * n
-    nominal = np.fft.irfft(whole, n, axis=0)
-    if integrates:
-        nominal = nominal + y.mean(axis=0)
+    problem = _problem(
+        uncertain, 2 * np.pi * f, response, forced, Y, recorded.bound[None],
+        weight=np.where(edge, 1.0, 2.0)[kept], real=edge[kept], total=True, radius=np.sqrt(1 - changing),
+    )  # fmt: skip
     bound = {s.name: float(b) for s, b in zip(recorded.outputs, recorded.bound, strict=True)}
-    t, nominal = np.arange(n, dtype=np.float64) * dt, np.asarray(nominal, dtype=np.float64)
+    t, offset = np.arange(n, dtype=np.float64) * dt, y.mean(axis=0) if integrates else 0.0
     unit = recorded.bound[None]
-    return Spectrum(problem, recorded.outputs, bound, t, y, nominal, Y, unit, tuple(assumptions))
+    return Spectrum(problem, recorded.outputs, bound, t, y, forced[:, p:], unit, tuple(assumptions), offset)
 
 
 def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: Mapping[str, ArrayLike]) -> Spectrum:
     """Return the lines of a measured frequency response; a noise bound is one number or one for each line (n,)."""
     where = f"validate {data.name}"
-    _refused_blocks(uncertain, where)
     names = [s.name for s in uncertain.inputs]
     known = {"input": names, "output": [s.name for s in uncertain.outputs]}
     for kind, given in (("input", (data.input,)), ("output", data.outputs)):
         if unknown := [name for name in given if name not in known[kind]]:
             raise InputError(where, f"the model has no {kind} {unknown[0]!r}", f"one of {', '.join(known[kind])}")
     chosen = uncertain.select(outputs=list(data.outputs))
-    n = len(data.omega)
-    for name in set(noise) - set(data.outputs):
-        raise InputError(f"{where}: noise of {name!r}", "no such output", f"one of {', '.join(data.outputs)}")
-    bound = np.empty((n, len(data.outputs)))
-    for j, name in enumerate(data.outputs):
-        given = np.asarray(noise.get(name, np.nan), dtype=np.float64)
-        if given.shape not in ((), (n,)):
-            raise InputError(f"{where}: noise of {name!r}", f"shape {given.shape}", f"one number, or ({n},)")
-        lowest = {name: float(given.min())} if name in noise else {}
-        noise_bounds(lowest, (name,), where)
-        if not np.isfinite(given).all():
-            raise InputError(f"{where}: noise of {name!r}", "numbers that are not finite", "positive numbers")
-        bound[:, j] = given
-    M, (q, p) = chosen.M, uncertain.delta_shape
+    n, M, (q, p) = len(data.omega), chosen.M, uncertain.delta_shape
+    given = {name: np.asarray(value, dtype=np.float64) for name, value in noise.items()}
+    for name, value in given.items():
+        if value.shape not in ((), (n,)):
+            raise InputError(f"{where}: noise of {name!r}", f"shape {value.shape}", f"one number, or ({n},)")
+    for of_lines in (np.min, np.max):
+        noise_bounds({name: float(of_lines(value)) for name, value in given.items()}, data.outputs, where)
+    bound = np.column_stack([np.broadcast_to(given[name], n) for name in data.outputs])
     if M.is_discrete and data.omega[-1] > np.pi / M.dt * (1 + 1e-9):
         raise InputError(where, f"{data.omega[-1]:g} rad/s", f"at most pi / dt = {np.pi / M.dt:g} rad/s")
     response = frequency_response(M, data.omega)
     forced = response[:, :, q + names.index(data.input)]
-    e = (data.response - forced[:, p:]) / bound
-    problem = SpectralProblem(
-        data.omega, response[:, :p, :q], response[:, p:, :q] / bound[:, :, None], forced[:, :p], e,
-        weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)), **_layout(uncertain),
-    ).scaled()  # fmt: skip
+    problem = _problem(
+        uncertain, data.omega, response, forced, data.response, bound,
+        weight=np.ones(n), real=data.omega == 0, total=False, radius=np.ones(len(data.outputs)),
+    )  # fmt: skip
     assumptions = ("at each frequency the noise of an output is within its bound",)
     largest = {name: float(bound[:, j].max()) for j, name in enumerate(data.outputs)}
-    sizes = np.abs(data.response), np.abs(forced[:, p:])
-    return Spectrum(problem, chosen.outputs, largest, data.omega, *sizes, data.response, bound, assumptions)
-
-
-def _layout(uncertain: UncertainModel) -> dict[str, Any]:
-    """Return the block fields of an unscaled problem."""
-    names = tuple(b.name for b in uncertain.blocks)
-    return {"blocks": tuple(block_slices(uncertain.blocks)), "names": names, "scale": np.ones(len(names))}
-
-
-def _refused_blocks(uncertain: UncertainModel, where: str) -> None:
-    for block in uncertain.blocks:
-        if block.is_real:
-            raise InputError(
-                where, f"block {block.name!r} is a real constant, one over all frequencies",
-                "complex and full blocks: at each frequency alone it would count as another one", 'domain="time"',
-            )  # fmt: skip
-        if not block.is_ball:
-            raise InputError(where, f"block {block.name!r} is one scalar repeated {block.rows} times",
-                             "blocks whose w may be any vector not longer than z", 'domain="time"')  # fmt: skip
+    y = np.abs(data.response)
+    return Spectrum(problem, chosen.outputs, largest, data.omega, y, forced[:, p:], bound, assumptions)
 
 
 # --- the result -------------------------------------------------------------------------------------------------------
-
-
-def fits_frequency_domain(data: Record | FrequencyData, domain: str, window: float | None, at_rest: bool) -> None:
-    """Refuse options without a meaning in the frequency domain."""
-    where = f"validate {data.name}"
-    if domain == "time":
-        raise InputError(where, "a frequency response in the time domain", 'domain="frequency"')
-    for name, given in (("windows", window), ("at_rest", at_rest)):
-        if given:
-            raise InputError(where, f"{name} in the frequency domain", "whole periods in steady state", 'domain="time"')
 
 
 def validate_by_lines(
@@ -362,9 +328,18 @@ def validate_by_lines(
     progress: Callable[[str], None],
 ) -> Validation:
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
+    where = f"validate {data.name}"
     if not uncertain.blocks:
         hint = 'domain="time" tests whether noise alone explains a record'
-        raise InputError(f"validate {data.name}", "a set without blocks in the frequency domain", "a block", hint)
+        raise InputError(where, "a set without blocks in the frequency domain", "a block", hint)
+    hint, expected = 'domain="time"', "complex scalars and full blocks"
+    for block in uncertain.blocks:
+        if block.is_real:
+            found = f"block {block.name!r} is a real constant, one over all frequencies"
+            raise InputError(where, found, expected, hint)  # at each frequency alone it would count as another one
+        if not block.is_ball:  # w may not be any vector not longer than z
+            found = f"block {block.name!r} is one scalar repeated {block.rows} times"
+            raise InputError(where, found, expected, hint)
     if isinstance(data, Record):
         spectrum = spectrum_of_record(uncertain, data, noise)
     else:
@@ -374,37 +349,23 @@ def validate_by_lines(
     progress(f"{problem.n} lines: gamma {found.lower:.4g} .. {found.upper:.4g}")
     explained, error, sizes = np.full(spectrum.y.shape, np.nan), 0.0, np.full((problem.n, len(problem.blocks)), np.nan)
     if np.isfinite(found.upper):
-        error = _replay_error(problem, found.w)
-        require_replay(error, data.name)
-        explained, sizes = _explained(spectrum, found.w), problem.sizes(found.w)
-    w, z = in_own_units(found.w, problem.z(found.w), problem.blocks, problem.scale)
-    return Validation(
-        status=concluded(found.lower, found.upper, search),
-        notes=(search.budget.remark,) if search.budget.remark else (),
+        error = require_replay(_replay_error(problem, found.w), data.name)
+        explained, sizes = spectrum.simulated(found.w), problem.sizes(found.w)
+    largest = zip(problem.names, sizes.max(axis=0).tolist(), strict=True)
+    return concluded(
+        found,
+        search,
+        spectrum.outputs,
         record=data.name,
-        lower=found.lower,
-        upper=found.upper,
-        label=found.label,
-        blocks={
-            block: BlockSize(block, "time-invariant", float(size))
-            for block, size in zip(problem.names, sizes.max(axis=0), strict=True)
-        },
+        blocks={name: BlockSize(name, "time-invariant", size) for name, size in largest},
         noise_bound=spectrum.bound,
         noise_norm="rms" if problem.total else "peak",
-        excess=found.excess,
         replay_error=error,
-        assumptions=(
-            *spectrum.assumptions,
-            "complex and full blocks are causal stable time-invariant systems",
-        ),
+        assumptions=(*spectrum.assumptions, "complex and full blocks are causal stable time-invariant systems"),
         t=spectrum.t,
         measured=spectrum.y,
-        nominal=spectrum.nominal,
+        nominal=spectrum.simulated(np.zeros_like(found.w)),
         explained=explained,
-        outputs=tuple((s.name, s.unit) for s in spectrum.outputs),
-        w=w,
-        z=z,
-        multipliers=found.multipliers.arrays() if found.multipliers else {},
         domain="frequency",
         omega=problem.omega,
         line_sizes=np.nan_to_num(sizes),
@@ -413,33 +374,22 @@ def validate_by_lines(
 
 def _replay_error(problem: SpectralProblem, w: ComplexArray) -> float:
     """Close the loop at each line with ``Delta = w z' / |z|^2`` and compare it with the explanation, over the bound."""
-    n, q, p = problem.n, w.shape[1], problem.z0.shape[1]
     z = problem.z(w)
-    delta = np.zeros((n, q, p), dtype=complex)
+    delta = np.zeros((*w.shape, z.shape[1]), dtype=complex)
     for rows, cols in problem.blocks:
         energy = (np.abs(z[:, cols]) ** 2).sum(axis=1)
         back = z[:, cols].conj() / np.where(energy > 0, energy, 1.0)[:, None]
         delta[:, rows, cols] = w[:, rows, None] * back[:, None, :]
     try:
-        closed = np.linalg.solve(np.eye(q) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None])
+        closed = np.linalg.solve(
+            np.eye(w.shape[1]) - delta @ problem.M11, np.einsum("kij,kj->ki", delta, problem.z0)[..., None]
+        )
     except np.linalg.LinAlgError:  # an ill-posed loop is no explanation
         return np.inf
     difference = np.einsum("kij,kj->ki", problem.M21, closed[..., 0] - w)
     if problem.total:
         return float(np.sqrt((problem.weight @ np.abs(difference) ** 2).max(initial=0.0)))
     return float(np.abs(difference).max(initial=0.0))
-
-
-def _explained(spectrum: Spectrum, w: ComplexArray) -> Array:
-    """Compute the outputs of the explanation: a period, or magnitudes."""
-    problem = spectrum.problem
-    moved = np.einsum("kij,kj->ki", problem.M21, w) * spectrum.unit_noise
-    if not problem.total:
-        return np.abs(spectrum.complex_y - problem.e * spectrum.unit_noise + moved)
-    n = len(spectrum.t)
-    whole = np.zeros((n // 2 + 1, moved.shape[1]), dtype=complex)
-    whole[len(whole) - problem.n :] = moved * n
-    return spectrum.nominal + np.fft.irfft(whole, n, axis=0)
 
 
 # --- the smallest gamma over all lines -------------------------------------------------------------------------------
@@ -450,22 +400,22 @@ def _smallest(problem: SpectralProblem, search: Search) -> Found:
     known = not np.abs(problem.M11).max(initial=0.0)
     exact = "exact" if known else "lower bound exact where the Lagrangian is concave"
     label = f"time-invariant systems at {problem.n} lines ({exact})"
-    none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     empty = Multipliers(np.zeros((problem.n, len(problem.blocks))), np.zeros(problem.e.shape))
+
+    def bounds(lower: float, upper: float, excess: float, multipliers: Multipliers, w: ComplexArray) -> Found:
+        return Found(lower, upper, NO_NOISE, excess, multipliers, label, problem=problem, w=w, z=problem.z(w))
+
+    none = np.zeros((problem.n, problem.M21.shape[2]), dtype=complex)
     nominal = problem.excess(problem.noise(none))
     if nominal <= 1:
-        return Found(0.0, 0.0, NO_NOISE, nominal, empty, label, w=none)
+        return bounds(0.0, 0.0, nominal, empty, none)
     free = programme.least_noise()
     least = problem.excess(problem.noise(free.w))
     if least > 1 + SLACK:
         multipliers = Multipliers(empty.D, programme.multipliers(free).noise)
         if not line_lagrangian(problem, multipliers, 1.0) < 0:
             raise NoTrustworthyNumber("validate", f"the noise bound is missed by {least - 1:.1e} of itself, unproved")
-        return Found(np.inf, np.inf, NO_NOISE, least, multipliers, label, w=none)
-
-    def disproved(by: Multipliers, start: float) -> float:
-        return largest_disproved(lambda gamma: line_lagrangian(problem, by, gamma) < 0, start, FINEST)
-
+        return bounds(np.inf, np.inf, least, multipliers, none)
     best, at, lower, multipliers = np.inf, none, 0.0, empty
     for start in (problem.z0, problem.z(free.w)):
         gamma, w, solved = _descend(programme, start, known)
@@ -473,14 +423,14 @@ def _smallest(problem: SpectralProblem, search: Search) -> Found:
             trial = programme.multipliers(solved)
             # With one programme per line the multipliers of a line belong to its own gamma: the worst decides.
             top = gamma if np.isfinite(gamma) else float(np.sqrt(solved.g.max(initial=0.0)))
-            found = disproved(trial, top)
+            found = largest_disproved(lambda g, by=trial: line_lagrangian(problem, by, g) < 0, top, FINEST)
             lower, multipliers = (found, trial) if found > lower else (lower, multipliers)
         if gamma < best:
             best, at = gamma, w
         if known or lower >= best * (1 - search.precision):
             break
     excess = problem.excess(problem.noise(at)) if np.isfinite(best) else min(least, 1.0)
-    return Found(lower, best, NO_NOISE, excess, multipliers, label, w=at)
+    return bounds(lower, best, excess, multipliers, at)
 
 
 def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float, ComplexArray, _Solved | None]:
@@ -510,9 +460,8 @@ def line_lagrangian(problem: SpectralProblem, multipliers: Multipliers, gamma: f
 
     +inf if L is not bounded above. A negative value is a proof.
     """
-    n, p = problem.z0.shape
     q = problem.M21.shape[2]
-    to_z, to_w = np.zeros((n, p)), np.zeros((n, q))
+    to_z, to_w = np.zeros(problem.z0.shape), np.zeros((problem.n, q))
     for i, (rows, cols) in enumerate(problem.blocks):
         to_z[:, cols] = (gamma**2 * multipliers.D[:, i])[:, None]
         to_w[:, rows] = multipliers.D[:, i][:, None]

@@ -47,12 +47,11 @@ class Recorded:
     """A record matched with an uncertain model."""
 
     uncertain: UncertainModel  # the set, with the compared outputs only
-    t: Array  # time in s, shape (n,)
-    # u, y: inputs (n, n_u) and outputs (n, n_y) in the order of the model, in deviations from its operating point
-    u: Array
-    y: Array
+    t: Array  # time in s, (n,)
+    u: Array  # (n, n_u) in the order of the model, in deviations from its operating point
+    y: Array  # (n, n_y) likewise
     outputs: tuple[Signal, ...]  # compared outputs with their units
-    bound: Array  # noise bound of each output, shape (n_y,)
+    bound: Array  # noise bound of each output, (n_y,)
     starts: tuple[int, ...]  # first sample of each window
     at_rest: bool  # whether the first window starts at zero state; all others have a free state
 
@@ -70,23 +69,25 @@ def prepared(
     window: float | None = None,
     at_rest: bool = False,
 ) -> Recorded:
-    """Match model and record."""
     where = f"validate {record.name}"
     if not record.is_uniform:
         step = np.diff(record.t)
-        k = int(np.abs(step - record.dt).argmax())
-        found = f"irregular sampling: {step.min():.6g} to {step.max():.6g} s between samples (worst at sample {k + 1})"
+        worst = int(np.abs(step - record.dt).argmax()) + 1
+        found = f"irregular sampling: {step.min():.6g} to {step.max():.6g} s between samples (worst at sample {worst})"
         reason = "a uniform clock: Delta acts on samples, and between unequal ones a contraction has no meaning"
         raise NoTrustworthyNumber(where, found, reason, "resample the record, or cut it where samples are missing")
     response = response_of(uncertain.nominal, record)
     names = response.output_names
     bound = noise_bounds(noise, names, where)
     shifted, _ = deviations(response.with_units(record), uncertain, names)
-    chosen = uncertain.select(outputs=names)
-    n = record.n
-    u = np.column_stack([np.zeros((n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
+    chosen, starts = uncertain.select(outputs=names), (0,)
+    u = np.column_stack([np.zeros((record.n, 0)), *(shifted.inputs[s.name] for s in chosen.inputs)])
     y = np.column_stack([shifted.outputs[name] for name in names])
-    starts = _starts(window, record, uncertain.M.n_states, where)
+    if window is not None:
+        length, shortest = round(window / record.dt) if np.isfinite(window) else 0, max(4, 2 * uncertain.M.n_states)
+        if length < shortest:
+            raise InputError(where, f"windows of {window:g} s ({length} samples)", f"at least {shortest} samples")
+        starts = tuple(s for s in range(0, record.n, length) if record.n - s >= shortest or s == 0)
     return Recorded(chosen, record.t, u, y, response.outputs, bound, starts, at_rest)
 
 
@@ -94,22 +95,18 @@ def prepared(
 class SampledProblem:
     """Affine maps of this module for one choice of the real parameters."""
 
-    # A, B, C1, D11, C2, D21: sampled model from w to z and to the noise, in scaled signals
-    A: Array
+    A: Array  # sampled model from w to z (C1, D11) and to the noise (C2, D21), in scaled signals
     B: Array
     C1: Array
     D11: Array
     C2: Array
     D21: Array
-    # z0, e: shape (n, p) and (n, n_y)
-    z0: Array
-    e: Array
-    # starts, at_rest: as in `Recorded`
-    starts: tuple[int, ...]
+    z0: Array  # (n, p)
+    e: Array  # (n, n_y)
+    starts: tuple[int, ...]  # as in `Recorded`
     at_rest: bool
-    free: Array  # orthonormal basis of the observable (free) state directions, shape (n_x, k)
-    # for each dynamic block its slices of w and z, and whether it is one system repeated
-    blocks: tuple[tuple[slice, slice, bool], ...]
+    free: Array  # orthonormal basis of the observable (free) state directions, (n_x, k)
+    blocks: tuple[tuple[slice, slice, bool], ...]  # slices of w and z of each block; whether it is one system repeated
     names: tuple[str, ...]  # of the blocks
     scale: Array  # divisor of the signals w and z of each block
 
@@ -124,8 +121,7 @@ class SampledProblem:
 
     def respond(self, w: Array, states_at: Mapping[int, Array]) -> tuple[Array, Array]:
         """Compute z (n, p) and noise (n, n_y) for w (n, q) and jumps (k,) of the state at free starts; default 0."""
-        drive = w @ self.B.T
-        first = np.zeros(len(self.A))
+        drive, first = w @ self.B.T, np.zeros(len(self.A))
         for t, jump in states_at.items():
             if t:
                 drive[t - 1] += self.free @ jump
@@ -146,27 +142,25 @@ class SampledProblem:
 
     def z_is_known(self) -> bool:
         """Check that z depends neither on w nor on a free state: then the test is convex."""
-        largest = float(np.abs(self.z0).max(initial=0.0))
-        state = np.hstack([self.B, self.free]) if self.free_starts else self.B
-        moved = float(np.abs(self.D11).max(initial=0.0))
+        state, found = np.hstack([self.B, self.free]) if self.free_starts else self.B, [self.D11]
         for _ in range(max(len(self.A), 1)):
-            moved = max(moved, float(np.abs(self.C1 @ state).max(initial=0.0)))
+            found.append(self.C1 @ state)
             state = self.A @ state
-        return moved <= ROUNDING * max(largest, 1e-300)
+        moved, largest = np.abs(np.hstack(found)).max(initial=0.0), np.abs(self.z0).max(initial=0.0)
+        return bool(moved <= ROUNDING * max(largest, 1e-300))
 
     def excess(self, noise: Array) -> float:
         """Return the largest noise over its bound: at most 1 if explained."""
         return float(np.abs(noise).max(initial=0.0))
 
     def sizes(self, w: Array, z: Array) -> Array:
-        r"""Compute for each block the smallest gain of a causal time-varying system that maps z to w.
+        """Compute for each block the smallest gain of a causal time-varying system that maps z to w.
 
-        .. math:: \max_T \left(\sum_{t \le T} |w_t|^2 / \sum_{t \le T} |z_t|^2\right)^{1/2}
+        The root of ``max_T (sum_{t <= T} |w_t|^2 / sum_{t <= T} |z_t|^2)``.
         """
         found = []
         for rows, cols, _ in self.blocks:
-            ew = np.cumsum((w[:, rows] ** 2).sum(axis=1))
-            ez = np.cumsum((z[:, cols] ** 2).sum(axis=1))
+            ew, ez = (np.cumsum((x**2).sum(axis=1)) for x in (w[:, rows], z[:, cols]))
             with np.errstate(divide="ignore", invalid="ignore"):
                 ratio = np.where(ew > 0, ew / ez, 0.0)
             found.append(float(np.sqrt(ratio.max(initial=0.0))))
@@ -186,36 +180,30 @@ def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> 
     if not np.isfinite(forced).all():
         raise NoTrustworthyNumber("validate", "the nominal response exceeds double precision", None, "use windows")
     z0, y0 = forced[:, :p], forced[:, p:]
-    scale_w, scale_z, scales = np.ones(q), np.ones(p), []
-    layout: list[tuple[slice, slice, bool]] = []
-    observed: list[Array] = [C[p:] / recorded.bound[:, None]]
-    for block, (rows, cols) in zip(blocks, block_slices(blocks), strict=True):
-        size = float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0
+    scale_w, scale_z, bound, slices = np.ones(q), np.ones((p, 1)), recorded.bound[:, None], block_slices(blocks)
+    scales = [float(np.sqrt(np.mean(z0[:, cols] ** 2))) or 1.0 for _, cols in slices]
+    for (rows, cols), size in zip(slices, scales, strict=True):
         scale_w[rows], scale_z[cols] = size, size
-        scales.append(size)
-        layout.append((rows, cols, not (block.is_ball or block.interval)))
-        if block.interval:
-            observed.append(C[cols] / size)
+    constant = [C[cols] / scale_z[cols] for block, (_, cols) in zip(blocks, slices, strict=True) if block.interval]
     return SampledProblem(
-        A,
-        B[:, :q] * scale_w,
-        C[:p] / scale_z[:, None],
-        D[:p, :q] * scale_w / scale_z[:, None],
-        C[p:] / recorded.bound[:, None],
-        D[p:, :q] * scale_w / recorded.bound[:, None],
-        z0 / scale_z,
-        (recorded.y - y0) / recorded.bound,
-        recorded.starts,
-        recorded.at_rest,
-        observable_directions(A, np.vstack(observed)),
-        tuple(layout),
-        tuple(b.name for b in blocks),
-        np.array(scales),
+        A=A,
+        B=B[:, :q] * scale_w,
+        C1=C[:p] / scale_z,
+        D11=D[:p, :q] * scale_w / scale_z,
+        C2=C[p:] / bound,
+        D21=D[p:, :q] * scale_w / bound,
+        z0=z0 / scale_z.T,
+        e=(recorded.y - y0) / recorded.bound,
+        starts=recorded.starts,
+        at_rest=recorded.at_rest,
+        free=observable_directions(A, np.vstack([C[p:] / bound, *constant])),
+        blocks=tuple((*at, not (b.is_ball or b.interval)) for b, at in zip(blocks, slices, strict=True)),
+        names=tuple(b.name for b in blocks),
+        scale=np.array(scales),
     )
 
 
 def zero_order_hold(M: StateSpaceModel, dt: float) -> tuple[Array, Array]:
-    """Discretise A and B at the record's sample time with zero-order hold."""
     if M.dt:
         return M.A, M.B
     A, B, _ = transition(M, dt)
@@ -242,7 +230,7 @@ def observable_directions(A: Array, C: Array) -> Array:
         rows = found[-1] @ A
         found.append(rows / (np.linalg.norm(rows, axis=1, keepdims=True) + 1e-300))
     stacked = np.vstack(found)
-    stacked = stacked / np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
+    stacked /= np.maximum(np.linalg.norm(stacked, axis=1, keepdims=True), 1e-300)
     _, sigma, right = np.linalg.svd(stacked)
     rank = int((sigma > OBSERVABLE * sigma[0]).sum()) if sigma[0] > 0 else 0
     return right[:rank].T
@@ -264,16 +252,6 @@ def noise_bounds(noise: Mapping[str, ArrayLike], names: tuple[str, ...], where: 
             hint = "at least the resolution of the sensor"
             raise NoTrustworthyNumber(f"{where}: noise of {name!r}", text, "a positive bound", hint)
     return np.array(found)
-
-
-def _starts(window: float | None, record: Record, n_states: int, where: str) -> tuple[int, ...]:
-    if window is None:
-        return (0,)
-    length = round(window / record.dt) if np.isfinite(window) else 0
-    shortest = max(4, 2 * n_states)
-    if length < shortest:
-        raise InputError(where, f"windows of {window:g} s ({length} samples)", f"at least {shortest} samples")
-    return tuple(s for s in range(0, record.n, length) if record.n - s >= shortest or s == 0)
 
 
 def states(A: Array, drive: Array, first: Array) -> Array:
@@ -310,9 +288,6 @@ class Multipliers:
     D: Array
     noise: Array
 
-    def arrays(self) -> dict[str, Array]:
-        return {"energy": self.D, "noise": self.noise}
-
 
 @dataclass(frozen=True)
 class Found:
@@ -327,7 +302,7 @@ class Found:
     label: str = ""
     certified: bool = True
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
-    problem: SampledProblem | None = None  # of the dynamic blocks, with their signals and the jumps of the states:
+    problem: Any = None  # of the dynamic blocks, with their signals and the jumps of the states:
     w: Any = field(default_factory=lambda: np.zeros((0, 0)))
     z: Array = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)
@@ -390,14 +365,11 @@ def largest_disproved(disproved: Callable[[float], bool], start: float, finest: 
 
     A certificate that disproves a gamma disproves every smaller one: the search begins close to the start, then halves.
     """
-    high = start
-    for share in (*(finest * 2.0**k for k in range(64) if finest * 2.0**k < 1), 1.0):
-        good = start * (1 - share)
-        if disproved(good):
-            break
-        high = good
-    else:
-        return 0.0
+    high, share = start, finest
+    while not disproved(good := start * (1 - min(share, 1.0))):
+        if share >= 1:
+            return 0.0
+        high, share = good, 2 * share
     for _ in range(HALVINGS):
         if high - good <= finest * high:
             break

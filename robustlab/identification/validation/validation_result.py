@@ -11,8 +11,9 @@ import numpy as np
 from robustlab.arrays import AnyArray, Array
 from robustlab.display import Each, Facts, number
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.identification.validation.sampled_problem import Search
+from robustlab.identification.validation.sampled_problem import Found, Search
 from robustlab.result import Evidence, Status
+from robustlab.statespace import Signal
 from robustlab.tables import Table, Tabular
 
 SMALLEST = 1e-6  # smaller sizes count as zero
@@ -32,85 +33,52 @@ class BlockSize(Evidence):
 
     @property
     def in_words(self) -> str:
-        texts = [f"size {self.size:.4g} in the explanation"] if np.isfinite(self.size) else []
-        texts += [number(*self.physical, 6)] if self.physical is not None else []
-        texts += [f"physically impossible ({self.impossible})"] if self.impossible else []
-        return "; ".join(texts)
+        size = f"size {self.size:.4g} in the explanation" if np.isfinite(self.size) else ""
+        physical = number(*self.physical, 6) if self.physical is not None else ""
+        impossible = f"physically impossible ({self.impossible})" if self.impossible else ""
+        return "; ".join(filter(None, (size, physical, impossible)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Validation(Tabular, Evidence):
-    r"""The smallest scaling gamma of Delta with which an uncertain model could have produced a record.
+    """The smallest scaling gamma of Delta with which an uncertain model could have produced a record."""
 
-    Attributes
-    ----------
-    status
-        CERTIFIED: both bounds were re-derived from their evidence and are within the requested precision. CONVERGED:
-        each bound holds as labelled, and either they are that close or they decide about gamma = 1. INCONCLUSIVE: they
-        do not decide. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time limit ended the
-        search.
-    record
-        Name of the record.
-    lower, upper
-        No Delta with all blocks smaller than ``lower`` explains the record; one of size ``upper`` does. inf if none
-        was found.
-    label
-        Methods behind the bounds, and when they are exact.
-    blocks
-        Block name -> `BlockSize`.
-    noise_bound, noise_norm
-        Bound of each output, in its unit, and its norm.
-    excess
-        Remaining noise over its bound: at most 1. If no Delta explains the record, the factor by which the noise bound
-        would have to grow.
-    replay_error
-        Largest difference between two ways to compute the explained outputs, over the noise bound.
-    assumptions
-        Assumptions of the bounds.
-    t, measured, nominal, explained, outputs
-        Time (n,), outputs (n, n_y) as recorded, of the nominal model, and of the explanation (NaN for none); names and
-        units.
-    w, z
-        Signals of the dynamic blocks in the explanation, in their own units: w = Delta z.
-    multipliers
-        The certificate of the lower bound: arrays by name.
-    domain
-        ``"time"`` or ``"frequency"``. In the frequency domain t is one mean period of the record, or holds the
-        frequencies of a measured response (then the outputs are magnitudes); w and z are complex, one row for a line.
-    omega, line_sizes
-        Frequencies of the lines in rad/s (n_lines,), and the size of each block there in the explanation
-        (n_lines, blocks); empty in the time domain.
-    notes
-        Reason why the search ended before its precision was reached: its work, or the time limit.
-    """
-
+    # CERTIFIED: both bounds were re-derived from their evidence and are within the requested precision. CONVERGED: each
+    # bound holds as labelled, and either they are that close or they decide about gamma = 1. INCONCLUSIVE: they do not
+    # decide. INFEASIBLE: no Delta of any size explains the record. TIMEOUT: the time limit ended the search.
     status: Status
     record: str
+    # No Delta with all blocks smaller than `lower` explains the record; one of size `upper` does. inf: none was found.
     lower: float
     upper: float
-    label: str
+    label: str  # methods behind the bounds, and when they are exact
     blocks: Mapping[str, BlockSize]
-    noise_bound: Mapping[str, float]
+    noise_bound: Mapping[str, float]  # of each output, in its unit
     noise_norm: str
+    # Remaining noise over its bound: at most 1. If no Delta explains the record, the factor by which the noise bound
+    # would have to grow.
     excess: float
-    replay_error: float
+    replay_error: float  # largest difference between two ways to compute the explained outputs, over the noise bound
     assumptions: tuple[str, ...]
-    t: Array
-    measured: Array
+    # In time: samples. Over frequency: one mean period of the record, or the frequencies of a measured response, of
+    # which the outputs are magnitudes.
+    t: Array  # (n,)
+    measured: Array  # outputs (n, n_y) as recorded, of the nominal model, and of the explanation (NaN for none)
     nominal: Array
     explained: Array
-    outputs: tuple[tuple[str, str], ...]
+    outputs: tuple[tuple[str, str], ...]  # names and units
+    # w = Delta z in the explanation, in their own units; over frequency complex, one row for a line
     w: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
     z: AnyArray = field(default_factory=lambda: np.zeros((0, 0)))
-    multipliers: Mapping[str, Array] = field(default_factory=dict)
+    multipliers: Mapping[str, Array] = field(default_factory=dict)  # the certificate of the lower bound
     domain: Literal["time", "frequency"] = "time"
-    omega: Array = field(default_factory=lambda: np.zeros(0))
-    line_sizes: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    notes: tuple[str, ...] = ()
+    omega: Array = field(default_factory=lambda: np.zeros(0))  # of the lines in rad/s; empty in time
+    line_sizes: Array = field(default_factory=lambda: np.zeros((0, 0)))  # (n_lines, blocks) in the explanation
+    notes: tuple[str, ...] = ()  # why the search ended before its precision was reached: work or time limit
 
     @property
     def verdict(self) -> str:
-        """``"not invalidated at gamma = ..."``, ``"invalidated: gamma is at least ..."``, or why it is undecided."""
+        """Return the verdict on gamma = 1 in words."""
         if self.status is Status.INFEASIBLE:
             return "invalidated at every gamma"
         if self.invalidated:
@@ -178,32 +146,43 @@ class Validation(Tabular, Evidence):
 # --- conclusions of both domains -------------------------------------------------------------------------------------
 
 
-def concluded(lower: float, upper: float, search: Search, *, certified: bool = True) -> Status:
-    """Return the status of two bounds; ``certified`` if both were re-derived from their evidence."""
-    if np.isinf(lower):
+def concluded(found: Found, search: Search, outputs: Sequence[Signal], **own: Any) -> Validation:
+    """Return the result of either domain; ``own``: the fields that do not follow from the bounds."""
+    w, z = found.w.copy(), found.z.copy()
+    if found.problem is not None:
+        for block, size in zip(found.problem.blocks, found.problem.scale, strict=True):  # undo the scaling
+            w[:, block[0]] *= size
+            z[:, block[1]] *= size
+    remark = search.budget.remark
+    return Validation(
+        status=_status(found, search),
+        lower=float(min(found.lower, found.upper)),
+        upper=float(found.upper),
+        label=found.label,
+        excess=found.excess,
+        outputs=tuple((s.name, s.unit) for s in outputs),
+        w=w,
+        z=z,
+        multipliers={} if (by := found.multipliers) is None else {"energy": by.D, "noise": by.noise},
+        notes=(remark,) if remark else (),
+        **own,
+    )
+
+
+def _status(found: Found, search: Search) -> Status:
+    if np.isinf(found.lower):
         return Status.INFEASIBLE
     if search.budget.struck:
         return Status.TIMEOUT
-    if np.isfinite(upper) and upper - lower <= 1.01 * search.precision * max(upper, SMALLEST):
-        return Status.CERTIFIED if certified else Status.CONVERGED
-    if lower > 1 or upper <= 1:
-        return Status.CONVERGED
-    return Status.INCONCLUSIVE
+    width = 1.01 * search.precision * max(found.upper, SMALLEST)
+    if np.isfinite(found.upper) and found.upper - found.lower <= width:
+        return Status.CERTIFIED if found.certified else Status.CONVERGED
+    return Status.CONVERGED if found.lower > 1 or found.upper <= 1 else Status.INCONCLUSIVE
 
 
-def in_own_units(
-    w: AnyArray, z: AnyArray, blocks: Sequence[tuple[slice, slice, bool] | tuple[slice, slice]], scale: Array
-) -> tuple[AnyArray, AnyArray]:
-    """Undo the scaling of w and z of every block."""
-    w, z = w.copy(), z.copy()
-    for block, size in zip(blocks, scale, strict=True):
-        w[:, block[0]] *= size
-        z[:, block[1]] *= size
-    return w, z
-
-
-def require_replay(error: float, record: str) -> None:
-    """Refuse an explanation whose replay differs from it by ``error`` of the noise bound."""
+def require_replay(error: float, record: str) -> float:
+    """Return the difference of an explanation and its replay, over the noise bound; refuse a large one."""
     if not error <= REPLAYED:
         found = f"the explanation is off by {error:.1e} of the noise bound when replayed"
         raise NoTrustworthyNumber(f"validate {record}", found)
+    return error

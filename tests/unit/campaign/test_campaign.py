@@ -113,12 +113,12 @@ def test_a_metric_that_is_not_a_number_is_a_lost_sample(motor, monkeypatch):
     ("change", "error", "text"),
     [
         ({"kind": "sample"}, UsageError, "did you mean samples?"),
-        ({"n": 0}, InputError, "n is 0"),
-        ({"n": 2.5}, InputError, "n is 2.5"),
-        ({"seed": -1}, InputError, "seed is -1"),
-        ({"points": 1}, InputError, "points is 1"),
-        ({"t_end": -1.0}, InputError, "t_end is -1.0"),
-        ({"t_end": math.nan}, InputError, "t_end is nan"),
+        ({"n": 0}, InputError, "n: 0"),
+        ({"n": 2.5}, InputError, "n: 2.5"),
+        ({"seed": -1}, InputError, "seed: -1"),
+        ({"points": 1}, InputError, "points: 1"),
+        ({"t_end": -1.0}, InputError, "t_end: -1.0"),
+        ({"t_end": math.nan}, InputError, "t_end: nan"),
     ],
 )
 def test_invalid_settings_are_rejected(change, error, text):

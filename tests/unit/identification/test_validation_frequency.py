@@ -180,7 +180,7 @@ def test_invalid_input_is_refused():
         ((model, moving, {"y": 0.1}), lines, rl.NoTrustworthyNumber, "no steady periods"),
         ((model, data, {"y": 0.1}), {}, rl.InputError, "in the time domain"),
         ((model, data, {}), lines, rl.InputError, "no noise bound"),
-        ((model, data, {"x": 0.1}), lines, rl.InputError, "no such output"),
+        ((model, data, {"x": 0.1}), lines, rl.InputError, "no such compared output"),
         ((model, data, {"y": np.zeros(9)}), lines, rl.NoTrustworthyNumber, "singular noise model"),
         ((model, data, {"y": np.ones(3)}), lines, rl.InputError, "shape"),
     ]  # fmt: skip

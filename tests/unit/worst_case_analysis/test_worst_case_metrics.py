@@ -126,7 +126,7 @@ def test_unstable_members_are_reported(metric):
     [
         (lambda: worst_case(lag(), "settlingtime"), UsageError, "did you mean settling-time"),
         (lambda: worst_case(lag(), 3), UsageError, "the name of a metric, or a function"),
-        (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band is 2.0"),
+        (lambda: worst_case(lag(), "settling-time", t=T, band=2.0), InputError, "band: 2.0"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=np.sin(T)), InputError, "an input that changes"),
         (lambda: worst_case(lag(), "overshoot", t=T, u=0 * T), NoTrustworthyNumber, "settles at 0"),
     ],

@@ -63,7 +63,7 @@ def test_samples_are_in_the_set_and_fill_it():
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
-    [((0,), "no samples"), ((-1,), "n is -1"), ((1.5,), "n is 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
+    [((0,), "no samples"), ((-1,), "n: -1"), ((1.5,), "n: 1.5"), ((1, -2), "seed"), ((1, 0, "every"), "vertices")],
 )
 def test_invalid_counts_are_rejected(arguments, text):
     with pytest.raises(InputError, match=text):
