@@ -14,8 +14,8 @@ from matplotlib.ticker import MaxNLocator
 
 from robustlab.arrays import Array
 from robustlab.errors import InputError
-from robustlab.identification.missing_effects.discovery_result import Discovery, Gap
 from robustlab.identification.greybox.residual_force import ForceCurve, ResidualForce
+from robustlab.identification.missing_effects.discovery_result import Discovery, Gap
 from robustlab.provenance import Provenance
 from robustlab.report import style
 from robustlab.report.drawings import pictures_of
