@@ -12,7 +12,6 @@ __all__, __getattr__ = lazily(
         "missing_effects.discovery_result": (
             "Discovery EffectValue Gap InputClock NamedEffect NominalValue Rival SetProbability"
         ),
-        "missing_effects.residual_force": "residual_force force_curves ForceCurve ResidualForce",
         "greybox.prepared_record": "prepare ports_of window_length",
         "greybox.disturbance_smoother": "smooth_disturbance",
         "greybox.motion_smoother": "smooth_motion",
@@ -23,7 +22,9 @@ __all__, __getattr__ = lazily(
         "greybox.effect_fit": "Problem Hypothesis FitPlan refit_distance Simulator Windows NoiseModel",
         "greybox.noise": "whitening first_noise held_out_fit as_fitted",
         "greybox.random_force": "FittedWindows ForceResponse PortMotion force_response plain_places",
-        "greybox.unnamed_force": "Family fitted_windows judged unnamed_force",
+        "greybox.residual_force": (
+            "Family fitted_windows judged unnamed_force residual_force force_curves ForceCurve ResidualForce"
+        ),
         "monitoring": "watch Watch ChangeTest PieceEquations onset",
         "data_checks.suitability": "check_record suitability",
         "data_checks.resampling": "join_clocks",

@@ -16,8 +16,8 @@ from robustlab.arrays import Array
 from robustlab.errors import InputError
 from robustlab.identification.comparison.comparison import Comparison
 from robustlab.identification.comparison.error_analysis import Bin
+from robustlab.identification.greybox.residual_force import ForceCurve, ResidualForce
 from robustlab.identification.missing_effects.discovery_result import Discovery, Gap
-from robustlab.identification.missing_effects.residual_force import ForceCurve, ResidualForce
 from robustlab.provenance import Provenance
 from robustlab.report import style
 from robustlab.report.drawings import pictures_of

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from itertools import chain
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -32,24 +34,21 @@ FEWEST_PERIODS = 2.0  # of an effect over the position, in one stroke
 HOMING = 0.2  # of half the range of a position: standard deviation of its zero
 ASSUMED = 0.10  # default relative tolerance of a parameter whose role no effect has
 
+PortPath = tuple[Array, Array, Array]  # position, velocity and unknown force along a record
+
 
 def candidates(plant: AnyPlant, model: PortModel, records: Sequence[PreparedRecord]) -> list[Candidate]:
     """Return every nameable effect of the catalogue at each of its sites, at the records' magnitudes."""
     # An effect with a period over the position or time appears once for each strong line.
     model = _with_observable_positions(model, records)
-    found = []
-    known: dict[Site, Scales] = {}
-    for effect in catalogue().values():
-        if not effect.nameable or effect.equals:
-            continue
-        for site in effect.sites(plant, model):
-            if site.kind == "output" and not all(site.name in r.record.outputs for r in records):
-                continue
-            if site not in known:
-                known[site] = _scales(site, plant, model, records)
-            for scales in effect.variants(known[site]):
-                found.append(Candidate(effect, site, effect.parameters(scales), effect.starts(scales), scales))
-    return found
+    scales_of = cache(lambda site: _scales(site, plant, model, records))
+    return [
+        Candidate(effect, site, effect.parameters(scales), effect.starts(scales), scales)
+        for effect in catalogue().values() if effect.nameable and not effect.equals
+        for site in effect.sites(plant, model)
+        if site.kind != "output" or all(site.name in r.record.outputs for r in records)
+        for scales in effect.variants(scales_of(site))
+    ]  # fmt: skip
 
 
 def _with_observable_positions(model: PortModel, records: Sequence[PreparedRecord]) -> PortModel:
@@ -88,39 +87,31 @@ def _scales(site: Site, plant: AnyPlant, model: PortModel, records: Sequence[Pre
         return Scales(dt=dt, duration=duration)
     port = model.ports[site.name]
     motion = [_port_motion(port, r) for r in records]
-    inertia = port.mean_inertia
-    currents = [
-        np.abs(r.smoothed.x @ p.velocity).max() for r in records for p in model.ports.values() if p.kind == "current"
-    ]
+    speed = max(float(np.abs(v).max()) for _, v, _ in motion) or 1.0
+    own = Scales(dt=dt, duration=duration, speed=speed, inertia=port.mean_inertia,
+                 force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
     if port.kind == "current":
         largest = max(float(np.abs(r.u).max()) for r in records)
-        speed = max(float(np.abs(v).max()) for _, v, _, _ in motion)
-        return Scales(dt=dt, duration=duration, force=largest or 1.0, speed=speed or 1.0,
-                      current=speed or 1.0, inertia=inertia,
-                      force_unit=port.unit, speed_unit=port.speed_unit)  # fmt: skip
-    force = max(float(np.sqrt(np.mean((inertia * np.gradient(v, dt)) ** 2))) for _, v, _, _ in motion)
-    lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d, _ in motion)
-    return Scales(
-        dt=dt,
-        duration=duration,
+        return replace(own, force=largest or 1.0, current=speed)
+    force = max(float(np.sqrt(np.mean((own.inertia * np.gradient(v, dt)) ** 2))) for _, v, _ in motion)
+    lacking = max(float(np.sqrt(np.mean(d**2))) for _, _, d in motion)
+    currents = (r.smoothed.x @ p.velocity for r in records for p in model.ports.values() if p.kind == "current")
+    return replace(
+        own,
         force=max(force, lacking) or 1.0,
-        speed=max(float(np.abs(v).max()) for _, v, _, _ in motion) or 1.0,
-        position=max(float(np.ptp(q)) for q, _, _, _ in motion) or 1.0,
-        lowest=min(float(q.min()) for q, _, _, _ in motion),
-        highest=max(float(q.max()) for q, _, _, _ in motion),
-        inertia=inertia,
+        position=max(float(np.ptp(q)) for q, _, _ in motion) or 1.0,
+        lowest=min(float(q.min()) for q, _, _ in motion),
+        highest=max(float(q.max()) for q, _, _ in motion),
         shares=shares_behind(plant, site.name) if isinstance(plant, NonlinearPlant) else (),
-        current=float(max(currents, default=1.0)) or 1.0,
+        current=float(max((np.abs(i).max() for i in currents), default=1.0)) or 1.0,
         orders=_merged_orders(motion) if port.position is not None else (),
         lines=_lines(motion, records),
-        force_unit=port.unit,
-        speed_unit=port.speed_unit,
         position_unit=port.position_unit,
     )
 
 
-def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Array, Array]:
-    """Return position, velocity, unknown force and its standard deviation along a record."""
+def _port_motion(port: Port, record: PreparedRecord) -> PortPath:
+    """Return position, velocity and unknown force along a record."""
     s = record.smoothed
     v = s.x @ port.velocity
     q = s.x @ port.position if port.position is not None else np.zeros(len(v))
@@ -128,7 +119,7 @@ def _port_motion(port: Port, record: PreparedRecord) -> tuple[Array, Array, Arra
     pushed = port.force.reshape(-1, port.force.shape[-1]).mean(axis=0)[: len(record.push)]
     # Dual directions of the forces, so that each one responds to itself alone.
     j = int(np.argmax(np.abs(pushed @ np.linalg.pinv(record.push).T))) if record.push.shape[1] else 0
-    return q, v, s.d[:, j], s.d_std[:, j]
+    return q, v, s.d[:, j]
 
 
 def _orders_at_output(
@@ -142,18 +133,15 @@ def _orders_at_output(
     return ()
 
 
-def _merged_orders(motion: Sequence[tuple[Array, Array, Array, Array]]) -> tuple[float, ...]:
-    q = np.concatenate([m[0] for m in motion])
-    v = np.concatenate([m[1] for m in motion])
-    d = np.concatenate([m[2] for m in motion])
+def _merged_orders(motion: Sequence[PortPath]) -> tuple[float, ...]:
+    q, v, d = (np.concatenate(part) for part in zip(*motion, strict=True))
     moving = np.abs(v) > 0.01 * np.abs(v).max(initial=0.0)
     stroke = max(float(np.ptp(m[0])) for m in motion)
     plain, flipped = (spatial_orders(q, force, v, moving, stroke) for force in (d, d * np.sign(v)))
     merged: list[float] = []
-    for pair in zip(plain, flipped, strict=False):
-        for k in pair:
-            if all(abs(k - other) > 0.02 * other for other in merged):
-                merged.append(k)
+    for k in chain.from_iterable(zip(plain, flipped, strict=False)):
+        if all(abs(k - other) > 0.02 * other for other in merged):
+            merged.append(k)
     return tuple(merged[: 2 * SPATIAL_LINES])
 
 
@@ -193,11 +181,11 @@ def spatial_orders(q: Array, d: Array, v: Array, moving: Mask, stroke: float = m
     return tuple(found)
 
 
-def _lines(motion: Sequence[tuple[Array, Array, Array, Array]], records: Sequence[PreparedRecord]) -> tuple[float, ...]:
+def _lines(motion: Sequence[PortPath], records: Sequence[PreparedRecord]) -> tuple[float, ...]:
     """Return lines over time in the longest record, with at least two periods in a window."""
     k = int(np.argmax([r.record.duration for r in records]))
-    (_, v, d, _), record = motion[k], records[k]
-    return timed_lines(d, v, record.record.dt, 2.0 / (record.windows.length * record.record.dt))
+    (_, v, d), dt = motion[k], records[k].record.dt
+    return timed_lines(d, v, dt, 2.0 / (records[k].windows.length * dt))
 
 
 def timed_lines(d: Array, v: Array, dt: float, lowest: float) -> tuple[float, ...]:
@@ -242,16 +230,11 @@ def _between(power: Array, k: int) -> float:
 def stated_tolerances(plant: AnyPlant, given: Mapping[str, float] | None) -> dict[str, tuple[float, bool]]:
     """Return parameter -> (tolerance, whether it is assumed): relative, or absolute in its unit for the value 0."""
     # ``given``: 0.05, "5%" or "0.2 N s/m" by name, over the plant's own; 0 fixes the parameter.
-    own: dict[str, float] = {}
+    own, known = dict[str, float](), tuple(plant.parameters)
     for name, value in (given or {}).items():
-        if name not in plant.parameters:
-            known = tuple(plant.parameters)
-            raise InputError(
-                f"tolerances: {name!r}",
-                f"no such parameter of {plant.name}",
-                ", ".join(known),
-                did_you_mean(name, known),
-            )
+        if name not in known:
+            text, hint = f"no such parameter of {plant.name}", did_you_mean(name, known)
+            raise InputError(f"tolerances: {name!r}", text, ", ".join(known), hint)
         p = plant.parameters[name]
         own[name] = tolerance_of(f"tolerances: {name}", value, p.value, p.unit)
         if own[name] < 0:

@@ -61,7 +61,7 @@ def smooth_disturbance(
 ) -> SmoothedRecord:
     """Return smoothed states and forces of a record with held inputs u; estimate noise and bandwidth (Hz) if None."""
     # ports (n_x, m): rate of the states per unit of each force. NaN in y is a missing sample.
-    task = _prepared(model, ports, t, u, y, noise_std)
+    task = _Task(model, ports, t, u, y, noise_std)
     given = None
     if bandwidth is not None:
         given = np.log(np.broadcast_to(np.asarray(bandwidth, dtype=float), (task.m,)))
@@ -99,29 +99,6 @@ def output_shares(
     return np.stack(shares), np.stack(constants)
 
 
-@dataclass(frozen=True)
-class _Task:
-    """Problem in discrete time."""
-
-    t: Array
-    h: float
-    model: StateSpaceModel
-    ports: Array
-    phi: Array
-    port_roots: Array  # (m, n_z, n_z): L_j for q_j = 1
-    forced: Array
-    H: Array
-    y: Array
-    start: Array  # prior standard deviation of z, (n_z,)
-    floor: Array
-    guess: Array
-    known_noise: bool
-
-    @property
-    def m(self) -> int:
-        return self.ports.shape[1]
-
-
 class _Choice(NamedTuple):
     """Logarithms of the bandwidths, noise of the outputs, and their log-likelihood."""
 
@@ -133,42 +110,36 @@ class _Choice(NamedTuple):
 # --- the problem in discrete time ------------------------------------------------------------------------------------
 
 
-def _prepared(
-    model: StateSpaceModel, ports: ArrayLike, t: ArrayLike, u: ArrayLike, y: ArrayLike, noise_std: ArrayLike | None
-) -> _Task:
-    p, t, u = (np.asarray(x, dtype=np.float64) for x in (ports, t, u))
-    y = np.array(y, dtype=np.float64)
-    n, n_z = len(t), model.n_states + p.shape[1]
-    samples = np.isfinite(y).sum(axis=0)
-    if n < 3 * n_z or samples.min(initial=n) < 3 * n_z:
-        found = f"{min(n, samples.min(initial=n))} samples"
-        raise InputError(WHERE, found, f"at least {3 * n_z} of every output for {n_z} states and forces")
-    if model.operating_point is not None:
-        u, y = u - model.operating_point.u, y - model.operating_point.y
-    y = y - u @ model.D.T
-    h = float(t[-1] - t[0]) / (n - 1)
-    wide = _with_forces(model, p)
-    phi, gamma, _ = transition(wide, h)
-    floor = np.maximum([resolution_of(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
-    if noise_std is None:
-        guess = np.maximum([_rough_noise(column) for column in y.T], floor)
-    else:
-        guess = np.maximum(np.asarray(noise_std, dtype=float), floor)
-    return _Task(
-        t=t,
-        h=h,
-        model=model,
-        ports=p,
-        phi=np.ascontiguousarray(phi),
-        port_roots=np.stack([_walk_root(wide, h, model.n_states + j) for j in range(p.shape[1])]),
-        forced=np.ascontiguousarray(u @ gamma.T),
-        H=wide.C.copy(),
-        y=np.ascontiguousarray(y),
-        start=_prior(wide, phi, u @ gamma.T, y),
-        floor=floor,
-        guess=guess,
-        known_noise=noise_std is not None,
-    )
+class _Task:
+    """Problem in discrete time; z = states and forces."""
+
+    def __init__(
+        self, model: StateSpaceModel, ports: ArrayLike, t: ArrayLike, u: ArrayLike, y: ArrayLike,
+        noise_std: ArrayLike | None,
+    ) -> None:  # fmt: skip
+        self.model, self.known_noise = model, noise_std is not None
+        self.ports, self.t, u = (np.asarray(x, dtype=np.float64) for x in (ports, t, u))
+        y = np.array(y, dtype=np.float64)
+        self.m, n = self.ports.shape[1], len(self.t)
+        n_z = model.n_states + self.m
+        samples = np.isfinite(y).sum(axis=0)
+        if n < 3 * n_z or samples.min(initial=n) < 3 * n_z:
+            found = f"{min(n, samples.min(initial=n))} samples"
+            raise InputError(WHERE, found, f"at least {3 * n_z} of every output for {n_z} states and forces")
+        if model.operating_point is not None:
+            u, y = u - model.operating_point.u, y - model.operating_point.y
+        y = y - u @ model.D.T
+        self.h = float(self.t[-1] - self.t[0]) / (n - 1)
+        wide = _with_forces(model, self.ports)
+        phi, gamma, _ = transition(wide, self.h)
+        floor = np.maximum([resolution_of(column) / math.sqrt(12.0) for column in y.T], SMALLEST_NOISE * _size(y))
+        guess = [_rough_noise(column) for column in y.T] if noise_std is None else np.asarray(noise_std, dtype=float)
+        self.floor, self.guess = floor, np.maximum(guess, floor)
+        self.phi, self.forced = np.ascontiguousarray(phi), np.ascontiguousarray(u @ gamma.T)
+        self.H, self.y = wide.C.copy(), np.ascontiguousarray(y)
+        # port_roots: L_j for q_j = 1, (m, n_z, n_z); start: prior standard deviation of z, (n_z,)
+        self.port_roots = [_walk_root(wide, self.h, model.n_states + j) for j in range(self.m)]
+        self.start = _prior(wide, phi, u @ gamma.T, y)
 
 
 def _with_forces(model: StateSpaceModel, ports: Array) -> StateSpaceModel:

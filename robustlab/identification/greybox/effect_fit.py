@@ -105,7 +105,7 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        return f"{self.effect.id} @ {self.site.name}"
+        return f"{self.effect.id}@{self.site.name}"
 
     def values(self, z: Array) -> dict[str, float]:
         return {p.name: p.prior.value(float(v)) for p, v in zip(self.parameters, z, strict=True)}
@@ -588,7 +588,7 @@ def predicted(problem: Problem, fit: Fit) -> Problem:
     """Return the problem with the measured outputs replaced by the fit's prediction in the chosen windows."""
     records = []
     for record, chosen, outputs in zip(problem.records, problem.chosen, simulated_outputs(problem, fit), strict=True):
-        y, at = record.y.copy(), record.windows.starts[chosen][:, None] + np.arange(record.windows.length)
+        y, at = record.y.copy(), record.samples[chosen]
         y[at] = np.where(np.isfinite(y[at]), outputs, np.nan)
         records.append(replace(record, y=y))
     return problem.on(records, problem.chosen)

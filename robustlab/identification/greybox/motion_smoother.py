@@ -91,26 +91,25 @@ def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -
     """Return the measured states, and each measured output at zero states, (n_measured,)."""
     names = [s.name for s in plant.states]
     c, offset = _rows(plant, u, y, columns)
-    position = {p.position: p.name for p in plant.port_places if p.position}
-    shown = {int(np.flatnonzero(row)[0]): [] for row in c}
+    shown: dict[int, list[int]] = {}
     for j, row in enumerate(c):
-        shown[int(np.flatnonzero(row)[0])].append(j)
-    chains, seen = [], set[int]()
-    for q, v in position.items():
-        pair = (names.index(q), names.index(v))
-        if not shown.get(pair[0]):
+        shown.setdefault(int(np.flatnonzero(row)[0]), []).append(j)
+    places = {p.position: p.name for p in plant.port_places if p.position}
+    groups: list[tuple[int, ...]] = [(names.index(q), names.index(v)) for q, v in places.items()]
+    for q, _ in groups:
+        if q not in shown:
             known = ", ".join(plant.outputs[k].name for k in columns)
             raise InputError(
-                f"discover {plant.name}", f"no measured output shows {q} (measured: {known})",
+                f"discover {plant.name}", f"no measured output shows {names[q]} (measured: {known})",
                 "the position of every joint of a nonlinear plant", "a speed alone does not tell where the plant is",
             )  # fmt: skip
-        own = [j for k in pair for j in shown.get(k, [])]
-        chains.append(_Chain(pair, tuple(own), c[np.ix_(own, list(pair))], np.zeros(2)))
-        seen.update(pair)
-    for k, outputs in shown.items():
-        if k not in seen:
-            chains.append(_Chain((k,), tuple(outputs), c[np.ix_(outputs, [k])], np.zeros(1)))
-    return chains, offset
+    paired = {k for pair in groups for k in pair}
+    groups += [(k,) for k in shown if k not in paired]
+    outputs = [tuple(j for k in states for j in shown.get(k, ())) for states in groups]
+    return [
+        _Chain(states, own, c[np.ix_(own, states)], np.zeros(len(states)))
+        for states, own in zip(groups, outputs, strict=True)
+    ], offset
 
 
 def _rows(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -> tuple[Array, Array]:
@@ -189,9 +188,8 @@ def _with_hidden(course: Course, hidden: Indices) -> Array:
             state = phi[k] @ state + pushed[k]
         found[-1] = state
         if not np.isfinite(found).all():
-            raise InputError(
-                f"discover {plant.name}", "a state without a sensor that does not settle by itself", "a sensor for it"
-            )
+            text = "a state without a sensor that does not settle by itself"
+            raise InputError(f"discover {plant.name}", text, "a sensor for it")
         x[:, hidden] = found
     return x
 

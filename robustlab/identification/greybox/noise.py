@@ -15,6 +15,9 @@ from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel
 from robustlab.identification.greybox.prepared_record import PreparedRecord
 
 SETTLING = 15  # iterations of the reported fits
+PREDICTED = 4  # iterations of a fit to windows whose parameters are known already
+PHASES = 8  # on the grid before the refinement
+PRICE = float(np.log(2 * PHASES))  # log evidence per phase fitted to held-out data
 
 
 def first_noise(problem: Problem) -> NoiseModel:
@@ -23,10 +26,9 @@ def first_noise(problem: Problem) -> NoiseModel:
     return NoiseModel(std, np.zeros((0, len(std))))
 
 
-def whitening(problem: Problem, fit: Fit, order: int | None = None) -> NoiseModel:
+def whitening(problem: Problem, fit: Fit, order: int = tuning.AR_ORDER) -> NoiseModel:
     """Fit an autoregression and innovation size to a fit's errors, output by output."""
     # Errors that grow along a window look unstable: the roots are limited to a decay over one window.
-    order = tuning.AR_ORDER if order is None else order
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
     n_y = errors[0].shape[2]
     slowest = np.exp(-1.0 / max(e.shape[1] for e in errors))
@@ -136,7 +138,7 @@ def _sizes(problem: Problem, fit: Fit) -> Array:
     return np.asarray(np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(known, 1)))
 
 
-def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = None) -> Fit:
+def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = tuning.AR_ORDER) -> Fit:
     """Refit for the report: errors whitened by their own model, covariance from the scatter of the windows."""
     # While an effect is missing, full whitening is wrong: order 1, from a least-squares fit, gives less weight to
     # differences between neighbouring points, which are sensitive to a small ripple.
@@ -145,11 +147,6 @@ def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int | None = N
         own = whitening(problem, found, order)
         found = problem.fit(fit.hypothesis, own, found.z, found.starts, FitPlan(SETTLING, 1e-3, robust=True))
     return found
-
-
-PREDICTED = 4  # iterations of a fit to windows whose parameters are known already
-PHASES = 8  # on the grid before the refinement
-PRICE = float(np.log(2 * PHASES))  # log evidence per phase fitted to held-out data
 
 
 def in_phase(problem: Problem, fit: Fit, known: Sequence[PreparedRecord]) -> tuple[Problem, float]:

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from robustlab.arrays import Array, Mask
+from robustlab.arrays import Array, Indices, Mask
 from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Course, PortModel, motion_model, port_model
@@ -69,10 +69,15 @@ class PreparedRecord:
     def count(self) -> int:
         return len(self.windows.starts)
 
+    @property
+    def samples(self) -> Indices:
+        """Return the samples of the windows, (n_windows, length)."""
+        return self.windows.starts[:, None] + np.arange(self.windows.length)
+
     @cached_property
     def measured(self) -> Array:
         """Return measured outputs in the windows, (n_windows, length, n_measured)."""
-        return self.y[self.windows.starts[:, None] + np.arange(self.windows.length)]
+        return self.y[self.samples]
 
     @property
     def sensor_noise(self) -> Array:
@@ -168,30 +173,22 @@ def prepare(
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
-    if record.n // length < tuning.FEWEST_WINDOWS:
-        raise InputError(
-            f"discover {record.name}",
-            f"{record.n} samples",
-            f"at least {tuning.FEWEST_WINDOWS * length} ({tuning.FEWEST_WINDOWS} windows)",
-        )
+    where, fewest = f"discover {record.name}", tuning.FEWEST_WINDOWS
+    if record.n // length < fewest:
+        raise InputError(where, f"{record.n} samples", f"at least {fewest * length} ({fewest} windows)")
     joints = [p for p in model.ports.values() if p.kind == "joint"]
     push = np.stack([p.force for p in joints], axis=-1) if joints else model.B[..., : len(plant.inputs)]
     push = push.reshape(-1, *push.shape[-2:]).mean(axis=0)
     smoothed, parts, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
-    known, lost = np.asarray(measured.all(axis=1)), np.asarray(~measured.any(axis=1))
-    stretches = _between_gaps(lost, LONGEST_GUESS)
+    known, starts = measured.all(axis=1), list[int]()
     # Remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
-    leads = [(a + min((b - a) % length, length // 20), b) for a, b in stretches]
-    starts = [s for first, last in leads for s in range(first, last - length + 1, length)]
+    for a, b in _between_gaps(np.asarray(~measured.any(axis=1))):
+        starts += range(a + min((b - a) % length, length // 20), b - length + 1, length)
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
-    if len(usable) < tuning.FEWEST_WINDOWS:
-        raise InputError(
-            f"discover {record.name}",
-            f"{len(usable)} windows of {length} samples without gaps",
-            f"at least {tuning.FEWEST_WINDOWS}",
-            "shorter windows, or a record with fewer gaps",
-        )
+    if len(usable) < fewest:
+        text, hint = f"{len(usable)} windows of {length} samples without gaps", "shorter windows, or fewer gaps"
+        raise InputError(where, text, f"at least {fewest}", hint)
     windows = Windows(np.array(usable, dtype=np.int64), length)
     if isinstance(plant, LinearPlant):
         seen = plant.state_space().select(None, [names[columns[j]] for j in own]).C
@@ -219,15 +216,13 @@ def prepare(
 
 def _signals(plant: AnyPlant, record: Record, outputs: Collection[str] = ()) -> tuple[Array, Array, tuple[int, ...]]:
     """Return inputs (n, n_u), measured outputs (n, n_measured) and the index of each among the plant's outputs."""
-    missing = [s.name for s in plant.inputs if s.name not in record.inputs]
-    if missing:
-        raise InputError(f"discover {record.name}", f"no input {missing[0]!r}", f"all inputs of {plant.name}")
-    names = [s.name for s in plant.outputs]
+    where, names = f"discover {record.name}", [s.name for s in plant.outputs]
+    for signal in plant.inputs:
+        if signal.name not in record.inputs:
+            raise InputError(where, f"no input {signal.name!r}", f"all inputs of {plant.name}")
     columns = tuple(k for k, name in enumerate(names) if name in (outputs or record.outputs))
     if not any(names[k] in record.outputs for k in columns):
-        raise InputError(
-            f"discover {record.name}", f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}"
-        )
+        raise InputError(where, f"outputs {', '.join(record.outputs)}", f"at least one of {', '.join(names)}")
     u = np.column_stack([record.inputs[s.name] for s in plant.inputs])
     y = np.column_stack([record.outputs.get(names[k], np.full(record.n, np.nan)) for k in columns])
     return u, y, columns
@@ -320,9 +315,8 @@ def _smoothed(
     return max(found, key=lambda f: f[0].log_likelihood)
 
 
-def _between_gaps(lost: Mask, longest_guess: int) -> list[tuple[int, int]]:
-    """Return first sample and end of each stretch between runs of more than ``longest_guess`` lost samples."""
+def _between_gaps(lost: Mask) -> list[tuple[int, int]]:
+    """Return first sample and end of each stretch between runs of more than `LONGEST_GUESS` lost samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], lost.astype(int), [0]])))
-    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > longest_guess]
-    firsts, ends = [0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)]
-    return list(zip(firsts, ends, strict=True))
+    gaps = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > LONGEST_GUESS]
+    return list(zip([0, *(b for _, b in gaps)], [*(a for a, _ in gaps), len(lost)], strict=True))

@@ -116,8 +116,7 @@ def plain_places(problem: Problem, fit: Fit) -> tuple[Site, ...]:
 def force_response(problem: Problem, fit: Fit, places: Sequence[Site]) -> ForceResponse:
     """Return responses at a fit to forces at joints, or to additions to inputs."""
     records, length = problem.records, problem.records[0].windows.length
-    windows = zip(records, problem.chosen, strict=True)
-    samples = [r.windows.starts[chosen][:, None] + np.arange(length) for r, chosen in windows]
+    samples = [r.samples[chosen] for r, chosen in zip(records, problem.chosen, strict=True)]
     ports = tuple(_motion(problem, fit, place, samples) for place in places)
     most = min(SEGMENTS, max(1, PULSES // len(places)))
     edges = np.unique(np.append(np.arange(0, length, -(-length // most)), length))

@@ -17,13 +17,7 @@ from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, error_context
 from robustlab.identification import tuning
-from robustlab.identification.data_checks.resampling import (
-    UniformRecord,
-    clock_step,
-    counted_from,
-    position_datum,
-    uniform,
-)
+from robustlab.identification.data_checks.resampling import clock_step, counted_from, position_datum, uniform
 from robustlab.identification.data_checks.suitability import Finding, suitability
 from robustlab.identification.greybox.candidates import (
     FEWEST_PERIODS,
@@ -38,7 +32,7 @@ from robustlab.identification.greybox.prepared_record import PreparedRecord, ali
 from robustlab.identification.missing_effects.answer import answer
 from robustlab.identification.missing_effects.discovery_result import Discovery
 from robustlab.identification.missing_effects.posterior import weigh
-from robustlab.identification.missing_effects.set_search import clock_nuisances, search_sets
+from robustlab.identification.missing_effects.set_search import Search, clock_nuisances
 from robustlab.identification.response.response import converted, with_units
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
@@ -60,6 +54,7 @@ def admissible(
     # Rows over the states of the outputs and of the joints' positions.
     positions = {s.name: row for s, row in zip(plant.outputs, shown, strict=True)}
     positions |= {name: port.position for name, port in model.ports.items() if port.position is not None}
+    longest = LONGEST_LAG * (fitted.records[0].windows.length * fitted.records[0].record.dt)
 
     def beyond(candidate: Candidate, factors: Mapping[str, float], values: Mapping[str, float]) -> bool:
         own, parameters = candidate.effect.factors(plant, candidate.site, values), plant.parameters
@@ -69,22 +64,22 @@ def admissible(
         name = next(iter(own))
         return bool(abs(np.log(factors.get(name, 1.0) * own[name])) > np.log1p(limits[candidate.site.name]))
 
+    def enough_periods(candidate: Candidate, values: Mapping[str, float]) -> bool:
+        if not (candidate.effect.spatial and "k" in values):
+            return True
+        position = positions[candidate.site.name]
+        return min(periods_seen(values["k"], position, p.records) for p in (fitted, held)) >= FEWEST_PERIODS
+
     def allowed(problem: Problem, fit: Fit) -> bool:
         factors, values = problem.split(fit.hypothesis, fit.z)
         seen = problem.setting(fit.hypothesis, fit.z).values  # a delay common to all sensors is one of the inputs
-        for candidate, own, simulated in zip(fit.hypothesis.candidates, values, seen, strict=True):
-            if candidate.site.kind == "parameter" and not beyond(candidate, factors, own):
-                return False
-            window = problem.records[0].windows.length * problem.records[0].record.dt
-            if not candidate.effect.visited(own, candidate.scales):
-                return False
-            if candidate.effect.lag(simulated) > LONGEST_LAG * window:
-                return False
-            if candidate.effect.spatial and "k" in own:
-                position = positions[candidate.site.name]
-                if min(periods_seen(own["k"], position, p.records) for p in (fitted, held)) < FEWEST_PERIODS:
-                    return False
-        return True
+        return all(
+            (c.site.kind != "parameter" or beyond(c, factors, own))
+            and c.effect.visited(own, c.scales)
+            and c.effect.lag(simulated) <= longest
+            and enough_periods(c, own)
+            for c, own, simulated in zip(fit.hypothesis.candidates, values, seen, strict=True)
+        )
 
     return allowed
 
@@ -93,12 +88,11 @@ def _reporter(progress: Callable[[str], None] | None) -> Callable[[float, float,
     """Return a reporter to the listener's ``part(done, expected, text)``, else of each new text to the listener."""
     if (part := getattr(progress, "part", None)) is not None:
         return part
-    last = ""
+    texts = [""]
 
     def report(_done: float, _expected: float, text: str) -> None:
-        nonlocal last
-        if progress is not None and text != last:
-            last = text
+        if progress is not None and text != texts[-1]:
+            texts.append(text)
             progress(text)
 
     return report
@@ -157,49 +151,47 @@ def discover(
     if window is not None:
         number("discover: window", window, "a length in s above 0", above=0.0)
     measured = [records] if isinstance(records, Record) else list(records)
-    kept_out = [] if held_out is None else [held_out] if isinstance(held_out, Record) else list(held_out)
+    kept_out = [held_out] if isinstance(held_out, Record) else list(held_out or ())
     if not measured:
         raise InputError("discover", "no record", "at least one")
-    findings, signals, everything = list[Finding](), (*known.inputs, *known.outputs), [*measured, *kept_out]
-    for record in everything:
-        checked = suitability(known, record)
-        checked.require()
-        findings.extend(checked.findings)
-    findings += [
-        Finding("unit", name, said, "", f"in {r.name}", False, {})
-        for r in everything for name, said in converted(r, signals).items()
-    ]  # fmt: skip
-    everything = [with_units(r, signals) for r in everything]
-    # Positions far from zero are shifted to a datum within the stroke.
-    datum = position_datum(known, everything) if isinstance(known, LinearPlant) else {}
-    findings += [
-        Finding(
-            "datum", name, f"far from zero: counted from {at:.9g} here, in the updated plant as well", "",
-            f"take {at:.9g} off {name} where the updated plant is compared with records", False, {"datum": at},
-        )
-        for name, at in datum.items()
-    ]  # fmt: skip
-    if datum:
-        everything = [counted_from(r, datum) for r in everything]
+    everything, findings = _checked(known, [*measured, *kept_out])
     measured, kept_out = everything[: len(measured)], everything[len(measured) :]
     stated = stated_tolerances(known, tolerances)
     known = with_absolute_tolerances(known, stated)
-    model = ports_of(known, _uniform(measured)[0].record)
-    problem, held, held_text = _problems(known, model, measured, kept_out, stated, window)
+    problem, held, model, held_text = _problems(known, measured, kept_out, stated, window)
     pool = [c for c in candidates(known, model, problem.records) if c.effect.id not in left_out]
     report = _reporter(progress)
-    allowed = admissible(known, stated, problem, held)
     most, held_most = MOST_WINDOWS, MOST_HELD
     if not isinstance(known, LinearPlant):  # expensive
         length = problem.records[0].windows.length
         most = min(MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, MOST_SAMPLES // length))
         held_most = min(MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
-    found = search_sets(_spread(problem, most), _spread(held, held_most), pool, allowed, report)
+    allowed = admissible(known, stated, problem, held)
+    found = Search(_spread(problem, most), _spread(held, held_most), pool, allowed, report).run()
     report(0.0, 0.0, "what remains")
     tried = tuple(dict.fromkeys(c.effect.id for c in pool))
     names = tuple(r.name for r in measured)
     result = answer(found, weigh(found), held, names, tried, stated, findings, held_text)
     return replace(result, seconds=time.perf_counter() - began)
+
+
+def _checked(plant: AnyPlant, records: Sequence[Record]) -> tuple[list[Record], list[Finding]]:
+    """Check the records; return them in the plant's units, positions counted from a datum within the stroke."""
+    findings, signals = list[Finding](), (*plant.inputs, *plant.outputs)
+    for record in records:
+        checked = suitability(plant, record)
+        checked.require()
+        findings.extend(checked.findings)
+    for record in records:
+        for name, text in converted(record, signals).items():
+            findings.append(Finding("unit", name, text, "", f"in {record.name}", False, {}))
+    records = [with_units(r, signals) for r in records]
+    datum = position_datum(plant, records) if isinstance(plant, LinearPlant) else {}
+    for name, at in datum.items():
+        text = f"far from zero: counted from {at:.9g} here, in the updated plant as well"
+        hint = f"take {at:.9g} off {name} where the updated plant is compared with records"
+        findings.append(Finding("datum", name, text, "", hint, False, {"datum": at}))
+    return [counted_from(r, datum) for r in records] if datum else records, findings
 
 
 def known_plant(plant: Any, where: str) -> AnyPlant:
@@ -214,15 +206,16 @@ def known_plant(plant: Any, where: str) -> AnyPlant:
 
 def _problems(
     plant: AnyPlant,
-    model: PortModel,
     records: Sequence[Record],
     held_out: Sequence[Record],
     stated: Mapping[str, tuple[float, bool]],
     window: float | None,
-) -> tuple[Problem, Problem, str]:
-    """Return the windows to fit, those held out, and a description of the latter."""
-    uniformed = _uniform([*records, *held_out])
+) -> tuple[Problem, Problem, PortModel, str]:
+    """Return the windows to fit, those held out, the plant's ports, and a description of the held-out windows."""
+    step = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
+    uniformed = [uniform(r, None if r.is_uniform else step) for r in (*records, *held_out)]
     everything, dt = [u.record for u in uniformed], uniformed[0].record.dt
+    model = ports_of(plant, everything[0])
     length = window_length(plant, everything, model) if window is None else max(8, round(window / dt))
     # A record may lack a sensor of another one: proposed experiments may add a sensor.
     seen = {name for r in records for name in r.outputs}
@@ -241,12 +234,12 @@ def _problems(
     nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), dt)
     if judged:
         problem = Problem(plant, fitted, nuisances, clock=clock)
-        return problem, problem.on(judged), ", ".join(r.name for r in held_out)
+        return problem, problem.on(judged), model, ", ".join(r.name for r in held_out)
     every = HELD_OUT_EVERY
     apart = [np.arange(r.count) % every == every // 2 for r in fitted]
     problem = Problem(plant, fitted, nuisances, [np.flatnonzero(~a) for a in apart], clock)
     held = problem.on(fitted, [np.flatnonzero(a) for a in apart])
-    return problem, held, f"every {every}th window of the records, kept from the fit"
+    return problem, held, model, f"every {every}th window of the records, kept from the fit"
 
 
 def _deviation(problem: Problem) -> float:
@@ -260,12 +253,6 @@ def _deviation(problem: Problem) -> float:
             rms = np.sqrt(np.nanmean(error**2, axis=(0, 1))) / np.where(ranges > 0.0, ranges, np.inf)
         found = max(found, float(np.nanmax(rms, initial=0.0)))
     return found
-
-
-def _uniform(records: Sequence[Record]) -> list[UniformRecord]:
-    """Resample the records to uniform time bases."""
-    dt = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
-    return [uniform(r, None if r.is_uniform else dt) for r in records]
 
 
 def _spread(problem: Problem, most: int) -> Problem:

@@ -18,7 +18,7 @@ from robustlab.tables import Table, Tabular
 if TYPE_CHECKING:
     from robustlab.identification.data_checks.suitability import Finding
     from robustlab.identification.experiment import NextExperiment
-    from robustlab.identification.missing_effects.residual_force import ResidualForce
+    from robustlab.identification.greybox.residual_force import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
 LINEAR = "linear about the recorded motion"
@@ -99,13 +99,6 @@ class NamedKind(Evidence):
     def settled(self) -> bool:
         """Return whether one member alone has 95 % of the probability, without a misfit."""
         return [s >= SURE for s in self.members.values() if s > 1.0 - SURE] == [True] and not self.misfit
-
-    @property
-    def open_form(self) -> str:
-        """Return why the form is open: several members at once, a misfit, or records that do not determine it."""
-        if sum(share >= SURE for share in self.members.values()) > 1:
-            return "more than one at once"
-        return "not settled beside what remains" if self.misfit else "not settled"
 
 
 @dataclass(frozen=True)
@@ -190,49 +183,18 @@ def quantities_of(kind: str) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Discovery(Tabular, Evidence):
-    """Result of `robustlab.identification.missing_effects.discovery.discover`.
+    """Result of `robustlab.identification.missing_effects.discovery.discover`."""
 
-    Attributes
-    ----------
-    status
-        CONVERGED; INCONCLUSIVE if the verdict is ambiguous or unknown, or most of the held-out error remains.
-    verdict
-        ``"no missing effect"`` (``rivals``: effects not excluded), ``"named"``, ``"ambiguous"`` (an effect has rivals
-        that these records do not exclude), ``"unknown"`` (no effect of the catalogue explains the error).
-    complete
-        False if structure remains beyond the named effects.
-    effects, rivals, kinds
-        Named effects; effects not excluded; the narrowest sure class of effects at each place, with its quantities and
-        the shares of its members.
-    also_detectable
-        Detected effects that are negligible on held-out data: not in the updated plant.
-    nominal, clocks
-        Refitted parameters; hold and time shift of each input.
-    gap_before, gap_refitted, gap_after, gaps, held_out
-        Windowed RMS error on held-out data in percent of the range, over all outputs: as given, refitted, updated; of
-        each output in its unit; description of the data.
-    free_run, free_run_on
-        The same errors of one simulation over the whole record; the records.
-    model
-        The updated plant; None if its free run on held-out data is worse than that of the plant as given.
-    next_experiment
-        Experiment that separates the rivals; None without rivals.
-    posterior, search
-        Sets of effects, the most probable first; every evaluated set with its log evidence.
-    residual_force, missing_force, remaining_lines
-        Force that the updated and the refitted nominal model lack, over speed, position, time and input; lines in it.
-    structure
-        ``noise_ratio``: error over noise and random force; ``explained``: share of the mean-square error removed.
-    series
-        Signals of held-out data for figures: ``t``, measured and simulated outputs; ``free_run``.
-    """
-
-    status: Status
+    status: Status  # CONVERGED; INCONCLUSIVE if ambiguous or unknown, or if most of the held-out error remains
+    # "ambiguous": these records do not exclude rivals of an effect; "unknown": no effect of the catalogue explains the
+    # error
     verdict: Verdict
-    complete: bool
+    complete: bool  # False if structure remains beyond the named effects
     effects: tuple[NamedEffect, ...]
-    rivals: tuple[Rival, ...]
-    nominal: tuple[NominalValue, ...]
+    rivals: tuple[Rival, ...]  # effects not excluded
+    nominal: tuple[NominalValue, ...]  # refitted parameters
+    # Windowed RMS error on held-out data over all outputs in percent of the range, as given, refitted and updated; that
+    # of each output in its unit; description of the data
     gap_before: float
     gap_refitted: float
     gap_after: float
@@ -240,23 +202,26 @@ class Discovery(Tabular, Evidence):
     held_out: str
     plant: str
     records: tuple[str, ...]
-    window: float
-    candidates: tuple[str, ...]
+    window: float  # length in s
+    candidates: tuple[str, ...]  # effects that were tried
+    # "noise_ratio": error over noise and random force; "explained": share of the mean-square error removed
     structure: Mapping[str, float]
-    kinds: tuple[NamedKind, ...] = ()
-    also_detectable: tuple[NamedEffect, ...] = ()
-    posterior: tuple[SetProbability, ...] = ()
-    search: tuple[tuple[tuple[str, ...], float], ...] = ()
+    kinds: tuple[NamedKind, ...] = ()  # narrowest sure class at each place, with its quantities and members
+    also_detectable: tuple[NamedEffect, ...] = ()  # negligible on held-out data: not in the updated plant
+    posterior: tuple[SetProbability, ...] = ()  # sets of effects, the most probable first
+    search: tuple[tuple[tuple[str, ...], float], ...] = ()  # every evaluated set with its log evidence
     clocks: tuple[InputClock, ...] = ()
-    free_run: Mapping[str, Gap] = field(default_factory=dict)
-    free_run_on: str = ""
+    free_run: Mapping[str, Gap] = field(default_factory=dict)  # errors of one simulation over the whole record
+    free_run_on: str = ""  # its records
     findings: tuple[Finding, ...] = ()
-    remaining_lines: tuple[Mapping[str, Any], ...] = ()
-    next_experiment: NextExperiment | None = None
+    remaining_lines: tuple[Mapping[str, Any], ...] = ()  # in the residual force
+    next_experiment: NextExperiment | None = None  # separates the rivals
+    # Force that the updated and the refitted nominal model lack, over speed, position, time and input
     residual_force: ResidualForce | None = None
     missing_force: ResidualForce | None = None
+    # Signals of held-out data for figures: ``t``, measured and simulated outputs; ``free_run``
     series: Mapping[str, Any] = field(default_factory=dict)
-    model: Any = None
+    model: Any = None  # updated plant; None if its free run on held-out data is worse than that of the plant as given
     seconds: float = 0.0
 
     quantities: ClassVar[Mapping[str, Any]] = {
@@ -325,20 +290,18 @@ class Discovery(Tabular, Evidence):
         # An evaluated effect that is not named has confidence 0 and NaN parameters: a requirement on it is not met,
         # while a misspelt one is an error.
         known = catalogue()
-        absent = {known[name].id: _units(known[name]) for name in self.candidates if name in known}
-        effects, lower, upper = (
-            {name: {p: 0.0 if p == "amplitude" else math.nan for p in units} for name, units in absent.items()}
-            for _ in range(3)
-        )
-        confidence = dict.fromkeys(absent, 0.0)
+        tried = {known[name].id: _units(known[name]) for name in self.candidates if name in known}
+        values: dict[str, dict[str, dict[str, float]]] = {"effects": {}, "lower": {}, "upper": {}}
+        for found in values.values():
+            found.update({n: {p: 0.0 if p == "amplitude" else math.nan for p in own} for n, own in tried.items()})
+        confidence = dict.fromkeys(tried, 0.0)
         for k, e in enumerate(self.effects):
             # A second effect of the same id has its place in the key.
             key = f"{e.name}@{e.site}" if e.name in self.names[:k] else e.name
-            effects[key], lower[key], upper[key] = (
-                {p.name: getattr(p, end) for p in e.parameters} for end in ("value", "lower", "upper")
-            )
-            if (amplitude := wave_amplitude(effects[key])) is not None:
-                effects[key]["amplitude"] = amplitude
+            for found, end in zip(values.values(), ("value", "lower", "upper"), strict=True):
+                found[key] = {p.name: getattr(p, end) for p in e.parameters}
+            if (amplitude := wave_amplitude(values["effects"][key])) is not None:
+                values["effects"][key]["amplitude"] = amplitude
             confidence[key] = e.confidence
         plain = ("verdict", "complete", "gap_before", "gap_refitted", "gap_after", "seconds")
         gaps = {"gap_ratio": self.gap_before, "refitted_ratio": self.gap_refitted}
@@ -358,9 +321,7 @@ class Discovery(Tabular, Evidence):
                 **{key: overall(self.free_run, model) for key, model in run.items()},
                 "outputs": {name: gap.to_json() for name, gap in self.free_run.items()},
             },
-            "effects": effects,
-            "lower": lower,
-            "upper": upper,
+            **values,
             "confidence": confidence,
             "nominal": {p.name: p.value for p in self.nominal},
             "next_experiment": {
@@ -388,43 +349,42 @@ class Discovery(Tabular, Evidence):
         return data | {"names": self.names, "answer": self.answer, "findings": [vars(f) for f in self.findings]}
 
     def headline(self) -> str:
-        early = "Interrupted; by then: " if self.interrupted else ""
         errors = [percent(overall(self.gaps, model)) for model in MODELS]
         them = {0: "with the best set", 1: "with it"}.get(len(self.effects), "with them")
         change = f"error on held-out data {errors[0]} of the range as given, {errors[1]} refitted, {errors[2]} {them}"
         if self.free_run:
             run = [overall(self.free_run, model) for model in MODELS]
-            worse = ", worse than as given" if run[2] > run[0] else ""
-            change += f"; in {self.whole_run} {' -> '.join(map(percent, run))}{worse}"
+            change += f"; in {self.whole_run} {' -> '.join(map(percent, run))}"
+            change += ", worse than as given" if run[2] > run[0] else ""
+        more = change if self.complete else f"{change}; incomplete: something else remains"
         named = _in_a_row(_sure_titles(self))
-        also = "" if self.complete else "; incomplete: something else remains"
         if self.verdict == "no missing effect":
             shows = "matters" if self.also_detectable else "these records show"
-            hidden = _in_a_row((r.title for r in self.rivals), "or")
-            lacks = f"no effect that {shows}: refitted its error on held-out data is {errors[2]} of the range"
-            lacks += f"; but they do not exclude {hidden}" if hidden else ""
+            finding = f"lacks no effect that {shows}: refitted its error on held-out data is {errors[2]} of the range"
+            if self.rivals:
+                finding += f"; but they do not exclude {_in_a_row((r.title for r in self.rivals), 'or')}"
         elif self.verdict == "named":
-            lacks = f"{named}: {change}{also}"
+            finding = f"lacks {named}: {more}"
         elif self.verdict == "unknown":
             beyond = f" beyond {named}" if self.effects else ""
-            lacks = f"something{beyond} that no effect of the catalogue explains ({change})"
+            finding = f"lacks something{beyond} that no effect of the catalogue explains ({change})"
         elif not self.rivals and len(self.collection) == 1:
-            return f"{early}{self.plant} may lack {named}, which is not sure ({change}{also})"
+            finding = f"may lack {named}, which is not sure ({more})"
         else:
             sets = [_in_a_row(map(_title, [*p.effects, *filter(None, [p.unnamed])])) for p in self.collection]
             either = _in_a_row((words or "nothing" for words in sets), "or")
-            lacks = f"either {either}: these records cannot tell which ({change}{also})"
-        return f"{early}{self.plant} lacks {lacks}"
+            finding = f"lacks either {either}: these records cannot tell which ({more})"
+        return f"{'Interrupted; by then: ' if self.interrupted else ''}{self.plant} {finding}"
 
     def facts(self) -> Facts:
         found = [("verdict", self.verdict if self.complete else f"{self.verdict}, incomplete: structure remains")]
         for kind in self.kinds:
             if not kind.settled:
-                found += [(kind.words, kind_words(kind)), ("what would tell its form", KINDS[kind.kind].form)]
+                found += [(kind.words, kind_words(kind)), ("to determine its form", KINDS[kind.kind].form)]
         for e in self.effects:
             found.append((in_words(e), f"probability {_values(e)}{_wave(e)}"))
             found += [(f"{e.name} or", _rival(r)) for r in self.rivals if r.instead_of == e.name]
-        hint = "; next to nothing on held-out data: not in the updated plant"
+        hint = "; negligible on held-out data: not in the updated plant"
         found += [(f"also seen: {in_words(e)}", f"{_values(e)}{hint}") for e in self.also_detectable]
         found += [("not excluded", _rival(r)) for r in self.rivals if r.instead_of == "none"]
         for gaps, how in ((self.gaps, f"windows of {self.window:.3g} s"), (self.free_run, self.whole_run)):
@@ -433,24 +393,18 @@ class Discovery(Tabular, Evidence):
         found += [("line", _line(line)) for line in self.remaining_lines]
         found += [(p.name, _nominal(p)) for p in self.nominal if p.beyond or not self.effects]
         on = "" if self.free_run_on in ("", self.held_out) else f"; {self.whole_run}: {self.free_run_on}"
-        return [
-            *found,
-            ("next", _next(self)),
-            ("held out", self.held_out + on),
-            ("plant", self.plant),
-            ("records", listed(self.records)),
-            ("time", number(self.seconds, "s", 3)),
-        ]
+        found += [("next", _next(self)), ("held out", self.held_out + on), ("plant", self.plant)]
+        return [*found, ("records", listed(self.records)), ("time", number(self.seconds, "s", 3))]
 
     def details(self) -> list[Part]:
         known, searched = catalogue(), sorted(self.search, key=lambda e: -e[1])[:SHOWN_SEARCH]
-        visited = f"search: {len(self.search)} sets visited, {len(self.candidates)} effects tried"
+        visited = f"search: {len(self.search)} sets evaluated, {len(self.candidates)} effects tried"
         return [
             Part("evidence", ("effect", "equation", "log evidence"),
                  [(e.name, known[e.name].equation, f"{e.evidence:+.4g}") for e in self.effects]),
             Part("nominal parameters, refitted", ("parameter", "value"), [(p.name, _nominal(p)) for p in self.nominal]),
             Part("inputs between their samples", ("input", "hold"), [(c.input, _clock(c)) for c in self.clocks]),
-            Part("sets of effects (3 noise sigmas tell)", ("set", "probability"),
+            Part("sets of effects (3 noise sigmas distinguish)", ("set", "probability"),
                  [_set_words(p) for p in self.collection[:SHOWN_SETS]]),
             Part("next experiment", ("", ""), self.next_experiment.facts() if self.next_experiment else []),
             Part("what remains", ("", ""), [(key, f"{v:.4g}") for key, v in self.structure.items()]),
@@ -516,9 +470,11 @@ def _sure_titles(d: Discovery) -> list[str]:
 def kind_words(kind: NamedKind) -> str:
     """Return probability, quantities and possible forms of a class whose form is open."""
     values = [f"{v.name} {with_interval(v)}" for v in kind.values]
+    why = "not settled beside what remains" if kind.misfit else "not settled"
+    if sum(share >= SURE for share in kind.members.values()) > 1:
+        why = "more than one at once"
     shares = [f"{_small_first(_title(e))} {chance(share)}" for e, share in kind.members.items() if share >= 0.01]
-    form = f"its form is {kind.open_form}: {', '.join(shares[:SHOWN_SETS])}"
-    return "; ".join([chance(kind.probability), *values, form])
+    return "; ".join([chance(kind.probability), *values, f"its form is {why}: {', '.join(shares[:SHOWN_SETS])}"])
 
 
 def _title(place: str) -> str:
@@ -543,7 +499,7 @@ def _wave(e: NamedEffect) -> str:
 
 
 def _rival(r: Rival) -> str:
-    apart = f"; {number(r.distance)} noise sigmas apart (3 tell)" if math.isfinite(r.distance) else ""
+    apart = f"; {number(r.distance)} noise sigmas apart (3 distinguish)" if math.isfinite(r.distance) else ""
     return f"{in_words(r)}; probability {_values(r)}{apart}"
 
 
@@ -554,25 +510,22 @@ def _set_words(p: SetProbability) -> tuple[str, str]:
 
 
 def _sizes(g: Gap) -> str:
-    def size(value: float) -> str:
+    sizes = []
+    for value in (getattr(g, model) for model in MODELS):
         share = f" ({percent(100 * value / g.range)})" if g.range > 0 else ""
-        return "diverges" if math.isinf(value) else f"{number(value, g.unit)}{share}"
-
-    return f"rms {' -> '.join(size(getattr(g, model)) for model in MODELS)}"
+        sizes.append("diverges" if math.isinf(value) else f"{number(value, g.unit)}{share}")
+    return f"rms {' -> '.join(sizes)}"
 
 
 def _remaining(d: Discovery) -> str:
     if d.complete:
         return "nothing systematic was found"
-    text = "unexplained"
-    if d.effects:
-        share = percent(100.0 * d.structure.get("explained", math.nan))
-        text = f"the named effects explain {share} of the mean-square error as given"
-    force = d.residual_force
-    if force is None:
-        return text
-    shares = [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
-    return "; ".join([text, f"a force of {number(force.rms, force.unit)} (rms)", *shares])
+    share = percent(100.0 * d.structure.get("explained", math.nan))
+    texts = [f"the named effects explain {share} of the mean-square error as given" if d.effects else "unexplained"]
+    if (force := d.residual_force) is not None:
+        texts.append(f"a force of {number(force.rms, force.unit)} (rms)")
+        texts += [f"{100 * c.share:.3g} % follow {c.coordinate}" for c in force.curves.values()]
+    return "; ".join(texts)
 
 
 def _line(line: Mapping[str, Any]) -> str:
@@ -597,7 +550,7 @@ def _clock(c: InputClock) -> str:
 
 def _next(d: Discovery) -> str:
     if d.next_experiment is not None:
-        return f"measure what tells them apart: {d.next_experiment.description}"
+        return f"measure to distinguish them: {d.next_experiment.description}"
     if not d.complete:
         return "look at the force that remains, over speed, position, time and input (figure 'force')"
     return "use the updated plant (.model)" if d.effects else "the model can stay as it is, refitted"

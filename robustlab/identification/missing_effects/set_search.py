@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.catalogue import KIND_OF
 from robustlab.identification import tuning
+from robustlab.identification.greybox import noise as noises
 from robustlab.identification.greybox.candidates import FINEST_LINES
 from robustlab.identification.greybox.effect_fit import (
     Candidate,
@@ -29,17 +31,7 @@ from robustlab.identification.greybox.effect_fit import (
     Problem,
     refit_distance,
 )
-from robustlab.identification.greybox.noise import (
-    as_fitted,
-    first_noise,
-    in_phase,
-    least_squares,
-    noise_ratio,
-    predictive,
-    whitening,
-    widened,
-)
-from robustlab.identification.greybox.unnamed_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
+from robustlab.identification.greybox.residual_force import SINGULAR, UnnamedEvidence, fitted_windows, unnamed_force
 
 BEAM = 4  # sets kept for a new noise model, and expanded
 ROUGH = 6  # iterations before the noise is known, to find the best set only
@@ -53,7 +45,6 @@ MOST_EXPANSIONS = 12  # limit of expanded sets
 MOST_WORK = 240_000_000  # limit of simulation steps
 PRIOR_EFFECT = 0.02  # of an effect at a place
 PRIOR_REFINEMENT = 0.1  # of a refinement, over that of the refined effect
-
 KEPT = 5  # effects fitted in full on top of a set
 KEPT_GAINS = 2  # further gain effects: at the same cost the prior may prefer one
 MOST_FALL = 2.5  # times its score: the largest expected fall of V
@@ -61,6 +52,11 @@ ALIKE, AS_GOOD = 0.99, 0.5  # share of the best start's score: above, a start is
 MOST_STRETCHED = 0.5  # log factor; friction coefficients change more, without information on a gain
 LATE = 2.0  # standard deviations of a clock, beyond which it may imitate a delay
 NEGLIGIBLE = 1e-9  # of a column's own square: the column is a combination of refitted parameters
+
+Key = frozenset[str]
+Allowed = Callable[[Problem, Fit], bool]
+Progress = Callable[[int, int, str], None]  # done, expected, text
+Start = tuple[Hypothesis, Array]  # a set with an effect added last, and the initial parameters of their fit
 
 
 def clock_nuisances(inputs: tuple[str, ...], dt: float) -> tuple[Nuisance, ...]:
@@ -83,21 +79,17 @@ def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
 
 def short_steps(problem: Problem, fit: Fit) -> Problem:
     """Shorten the steps until halving them changes no residual by more than a tenth of the noise."""
+
+    def residual(problem: Problem) -> Array:
+        errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
+        return np.concatenate([fit.noise.whitened(e).ravel() for e in errors])
+
     while (sub := problem.clock.sub or 1) < MOST_STEPS:
         halved = problem.under(replace(problem.clock, sub=2 * sub))
-        whole, fine = (
-            np.concatenate([fit.noise.whitened(e).ravel() for e in p.errors(fit.hypothesis, fit.z, fit.starts)])
-            for p in (problem, halved)
-        )
-        if np.quantile(np.abs(whole - fine), 0.99) <= STEP_ERROR:
+        if np.quantile(np.abs(residual(problem) - residual(halved)), 0.99) <= STEP_ERROR:
             break
         problem = halved
     return problem
-
-
-Key = frozenset[str]
-Allowed = Callable[[Problem, Fit], bool]
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +97,30 @@ class Scored:
     """A fitted set of effects."""
 
     fit: Fit  # under the noise model of the search
-    prior: float  # log prior of the set
     held_out: float  # log-likelihood of the held-out windows given the fitted ones, up to a constant common to all sets
     allowed: bool  # False for a parameter effect within its tolerance, or a ripple with too few periods
 
-    @property
+    @cached_property
     def key(self) -> Key:
         return key_of(self.fit.hypothesis)
 
-    @property
+    @cached_property
+    def prior(self) -> float:
+        """Return the log prior of the set."""
+        total = 0.0
+        for candidate in self.fit.hypothesis.candidates:
+            total += math.log(PRIOR_EFFECT)
+            if candidate.effect.refines:
+                total += math.log(PRIOR_REFINEMENT)
+            # A line was chosen among all that could have been seen: over the position or, up to 0.4 / dt, over time.
+            scales = candidate.scales
+            if candidate.effect.spatial and scales.orders:
+                total -= math.log(FINEST_LINES)
+            if candidate.effect.timed and scales.lines:
+                total -= math.log(max(1.0, 0.4 * scales.duration / scales.dt))
+        return total
+
+    @cached_property
     def evidence(self) -> float:
         """Return the log of the posterior probability, up to a constant common to all sets."""
         return self.fit.evidence + self.held_out + self.prior
@@ -133,57 +140,19 @@ class Found:
     problem: Problem
     held: Problem
 
-    @property
-    def best(self) -> Scored:
-        return self.sets[0]
-
 
 def key_of(hypothesis: Hypothesis) -> Key:
     return frozenset(c.key for c in hypothesis.candidates)
 
 
-def log_prior(hypothesis: Hypothesis) -> float:
-    total = 0.0
-    for candidate in hypothesis.candidates:
-        total += math.log(PRIOR_EFFECT)
-        if candidate.effect.refines:
-            total += math.log(PRIOR_REFINEMENT)
-        # A line was chosen among all that could have been seen: over the position or, up to 0.4 / dt, over time.
-        scales = candidate.scales
-        if candidate.effect.spatial and scales.orders:
-            total -= math.log(FINEST_LINES)
-        if candidate.effect.timed and scales.lines:
-            total -= math.log(max(1.0, 0.4 * scales.duration / scales.dt))
-    return total
-
-
-def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
-    """Return an effect that can make a line, with starts at that line and, of a wave, at its phase."""
-    # If the motion follows the wave, a fit from zero amplitude would converge to another period.
-    effect = candidate.effect
-    at = {"orders": (2.0 * np.pi / line.period,)} if effect.spatial else {"lines": (1.0 / line.period,)}
-    scales = replace(candidate.scales, **at)
-    starts = effect.starts(scales)
-    if {"Ac", "As"} <= set(starts[0]):
-        starts = (*starts, {**starts[0], "Ac": line.wave[0], "As": line.wave[1]})
-    return Candidate(effect, candidate.site, effect.parameters(scales), starts, scales)
-
-
-def search_sets(
-    problem: Problem, held: Problem, pool: Sequence[Candidate], allowed: Allowed, progress: Progress
-) -> Found:
-    """Search the sets of effects of ``pool``; ``allowed``: tests whether a fitted set may be the answer."""
-    return _Search(problem, held, pool, allowed, progress).run()
-
-
 @dataclass(eq=False)
-class _Search:
+class Search:
     """State of a search: sets evaluated under the present noise, and which of them were expanded under it."""
 
     problem: Problem
     held: Problem
     pool: Sequence[Candidate]
-    allowed: Allowed
+    allowed: Allowed  # whether a fitted set may be the answer
     progress: Progress
     visited: dict[Key, Scored] = field(default_factory=dict)
     expanded: set[Key] = field(default_factory=set)
@@ -196,33 +165,35 @@ class _Search:
     near: bool = False  # whether the best set leaves little beyond the sensor noise
 
     def run(self) -> Found:
-        self.noise = first_noise(self.problem)
+        """Search until no set near the best one is left to expand, or the work limit is reached."""
+        self.noise = noises.first_noise(self.problem)
         z = np.zeros(len(self.problem.nuisances))
         self._keep(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
         interrupted = settled = False
         try:
             self._expand(Key())
             self._update_noise()
-            while self.expansions < MOST_EXPANSIONS and sum(self.problem.work) < MOST_WORK:
+            while not settled and self.expansions < MOST_EXPANSIONS and sum(self.problem.work) < MOST_WORK:
                 best = self._confirmed()
                 self._reduce(best.fit)
                 if self._confirmed().key == best.key:
                     key = self._next()
-                    if key is None:
-                        settled = True
-                        break
-                    self._expand(key)
+                    settled = key is None
+                    if key is not None:
+                        self._expand(key)
                 if self._confirmed().key != best.key:
                     self._update_noise()
         except KeyboardInterrupt:
             interrupted = True
-        order = tuple(sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True))
-        empty = self.visited[Key()]
+        empty, order = self.visited[Key()], tuple(self._ranked())
         return Found(order, empty, self.noise, self.expansions, settled, interrupted, self.problem, self.held)
 
     @property
     def best(self) -> Scored:
         return max((v for v in self.visited.values() if v.allowed), key=lambda v: v.evidence)
+
+    def _ranked(self) -> list[Scored]:
+        return sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)
 
     def _confirmed(self) -> Scored:
         """Return the best set without effects whose presence the records cannot confirm."""
@@ -295,49 +266,48 @@ class _Search:
         _, values = self.problem.split(fit.hypothesis, fit.z)
         for k, (there, own) in enumerate(zip(fit.hypothesis.candidates, values, strict=True)):
             rest, z = without(self.problem, fit, k)
-            less = self.problem.fit(rest, self.noise, z, fit.starts, FitPlan(tuning.LAST))
-            self._keep(less)
+            less = self._fit(rest, z, fit, FitPlan(tuning.LAST))
             self._swap(fit, less, there)
             for plain in self.pool:
                 if plain.effect.id == there.effect.refines and plain.site == there.site:
                     start = {**plain.starts[0], **there.effect.unrefined(own)}
                     start = {name: start[name] for name in plain.starts[0]}
-                    simpler = extended(self.problem, rest, z, plain, start)
-                    self._keep(self.problem.fit(simpler[0], self.noise, simpler[1], fit.starts, FitPlan(tuning.FULL)))
+                    self._fit(*extended(self.problem, rest, z, plain, start), fit, FitPlan(tuning.FULL))
 
     def _swap(self, fit: Fit, less: Fit, there: Candidate) -> None:
         """Fit the other effects of an effect's class in its place; ``less``: the set without it."""
         # All of them explain much of the same, so that the score of an addition does not choose between them.
-        kind = KIND_OF.get(there.effect.id)
+        kind, key = KIND_OF.get(there.effect.id), key_of(less.hypothesis)
         pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
-        pool = [c for c in pool if may_be_added(c, less.hypothesis)]
-        pool = [c for c in pool if key_of(less.hypothesis) | {c.key} not in self.visited]
-        plan = FitPlan(tuning.FULL, 0.05)
-        for hypothesis, z in promising(self.problem, less, pool, 0.0, lambda done, expected: None):
-            self._keep(self.problem.fit(hypothesis, self.noise, z, fit.starts, plan))
+        pool = [c for c in pool if may_be_added(c, less.hypothesis) and key | {c.key} not in self.visited]
+        for hypothesis, z in promising(self.problem, less, pool, 0.0):
+            self._fit(hypothesis, z, fit, FitPlan(tuning.FULL))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
         base, best = self.visited[key].fit, self.best.fit
-        text = " + ".join(sorted(key)) or "the nominal model"
-
-        def report(done: int, expected: int) -> None:
-            self.progress(done, expected + KEPT, f"what could be added to {text}")
-
+        text = f"what could be added to {' + '.join(sorted(key)) or 'the nominal model'}"
         # A set with a larger V is neither promising nor near the best set.
         ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
-        starts = promising(self.problem, base, pool, base.cost - ceiling, report)
+        starts = promising(
+            self.problem, base, pool, base.cost - ceiling, lambda done, count: self.progress(done, count + KEPT, text)
+        )
         for done, (hypothesis, z) in enumerate(starts, 1):
             most = np.inf if hypothesis.candidates[-1].effect.gain_like else ceiling
-            plan = FitPlan(tuning.FULL if self.noise_known else ROUGH, 0.05, ceiling=most)
-            self._keep(self.problem.fit(hypothesis, self.noise, z, base.starts, plan))
-            self.progress(done, len(starts), f"full fits of what could be added to {text}")
+            self._fit(hypothesis, z, base, FitPlan(tuning.FULL if self.noise_known else ROUGH, ceiling=most))
+            self.progress(done, len(starts), f"full fits of {text}")
         self.expanded.add(key)
         self.expansions += 1
         # With dry friction in the model, a misjudged viscous friction that imitated it returns to its nominal value.
         for there in [v for v in self.visited.values() if not v.allowed and v.evidence > self.best.evidence]:
             self._reduce(there.fit)
+
+    def _fit(self, hypothesis: Hypothesis, z: Array, near: Fit, plan: FitPlan) -> Fit:
+        """Fit a set from z and the initial states of a similar fit, and keep it if it is the best one of its set."""
+        fit = self.problem.fit(hypothesis, self.noise, z, near.starts, plan)
+        self._keep(fit)
+        return fit
 
     def _keep(self, fit: Fit) -> None:
         """Evaluate a fit, and keep it if it is the better one of its set."""
@@ -346,15 +316,15 @@ class _Search:
         there = self.visited.get(key)
         if there is not None and there.allowed and fit.evidence <= there.fit.evidence:
             return
-        judged = self._scored(fit)
+        scored = self._scored(fit)
         same = there is None or set(there.fit.hypothesis.candidates) == set(fit.hypothesis.candidates)
-        if there is None or (same or judged.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
-            self.visited[key] = judged
+        if there is None or (same or scored.allowed, fit.evidence) > (same or there.allowed, there.fit.evidence):
+            self.visited[key] = scored
 
     def _scored(self, fit: Fit) -> Scored:
-        held, price = in_phase(self.held, fit, self.problem.records)
-        seen = predictive(held, fit, self.noise) if self.near else as_fitted(held, fit, self.noise)
-        return Scored(fit, log_prior(fit.hypothesis), seen - price, self.allowed(self.problem, fit))
+        held, price = noises.in_phase(self.held, fit, self.problem.records)
+        likelihood = noises.predictive if self.near else noises.as_fitted
+        return Scored(fit, likelihood(held, fit, self.noise) - price, self.allowed(self.problem, fit))
 
     def _white(self, fit: Fit) -> bool:
         """Return whether a fit's errors are as large as its noise model predicts."""
@@ -363,48 +333,51 @@ class _Search:
 
     def _update_noise(self) -> None:
         """Take the noise from the best set, refit the best sets under it, and drop the rest."""
-        leader = self._out_of_minimum(self._confirmed().fit)
-        if self.noise_known and leader is self._confirmed().fit and self._white(leader):
+        confirmed = self._confirmed().fit
+        leader = self._out_of_minimum(confirmed)
+        if self.noise_known and leader is confirmed and self._white(leader):
             return
         self.progress(0, 0, "the noise that the best set leaves, and the sets that may matter under it")
         self.noise_known = True
-        self.noise = self._noise_of(leader)
-        leader, self.problem = held_inputs(self.problem, self._refitted_set(leader))
+        self._take_noise(leader)
+        leader, self.problem = held_inputs(self.problem, self._refitted(leader))
         self.problem = short_steps(self.problem, leader)
         self.held = self.held.under(self.problem.clock)
-        leader = self._refitted_set(leader)
-        self.noise = self._noise_of(leader)
-        ordered = sorted(self.visited.values(), key=lambda v: (v.allowed, v.evidence), reverse=True)[:BEAM]
-        kept = {v.key: v.fit for v in ordered} | {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
+        leader = self._refitted(leader)
+        self._take_noise(leader)
+        kept = {v.key: v.fit for v in self._ranked()[:BEAM]}
+        kept |= {Key(): self.visited[Key()].fit, key_of(leader.hypothesis): leader}
         # In one assignment, since the user may interrupt the search at any time.
-        self.visited = {key: self._scored(self._refitted_set(fit)) for key, fit in kept.items()}
+        self.visited = {key: self._scored(self._refitted(fit)) for key, fit in kept.items()}
         self.expanded = set()
 
     def _out_of_minimum(self, fit: Fit) -> Fit:
         """Return the fit, or the least-squares fit from there if the errors exceed noise and it reduces them."""
         # Coloured noise from a wrong minimum keeps a fit there.
-        if noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
+        if noises.noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
             return fit
-        plain = least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL, 0.05))
-        return min((fit, plain), key=lambda f: float(np.log(whitening(self.problem, f).std).sum()))
+        plain = noises.least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL))
+        return min((fit, plain), key=lambda f: float(np.log(noises.whitening(self.problem, f).std).sum()))
 
-    def _noise_of(self, fit: Fit) -> NoiseModel:
-        """Return the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
-        self.near = noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        return widened(self.problem, fit, whitening(self.problem, fit, tuning.AR_ORDER if self.near else 1))
+    def _take_noise(self, fit: Fit) -> None:
+        """Take the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
+        self.near = noises.noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
+        order = tuning.AR_ORDER if self.near else 1
+        self.noise = noises.widened(self.problem, fit, noises.whitening(self.problem, fit, order))
 
-    def _refitted_set(self, fit: Fit) -> Fit:
-        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL, 0.05))
+    def _refitted(self, fit: Fit) -> Fit:
+        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL))
 
 
 # --- additions and removals ------------------------------------------------------------------------------------------
 
 
-Start = tuple[Hypothesis, Array]  # a set with an effect added last, and the initial parameters of their fit
-
-
 def promising(
-    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float, report: Callable[[int, int], None]
+    problem: Problem,
+    base: Fit,
+    pool: Sequence[Candidate],
+    wanted: float,
+    report: Callable[[int, int], None] = lambda done, count: None,
 ) -> list[Start]:
     """Return the starts of the effects with the highest scores on top of a set, if V may fall by ``wanted``."""
     quick = problem.under(replace(problem.clock, rough=True))
@@ -414,14 +387,17 @@ def promising(
     for done, start in enumerate(jobs, start=1):
         scores.append(_score(quick, base, residual, own, start))
         report(done, len(jobs))
-    order, added = sorted(range(len(jobs)), key=lambda k: -scores[k]), [h.candidates[-1] for h, _ in jobs]
-    first = list(dict.fromkeys(added[k].key for k in order if MOST_FALL * scores[k] > wanted))[:KEPT]
-    gains = [added[k].key for k in order if added[k].effect.gain_like and added[k].key not in first]
+    order = sorted(range(len(jobs)), key=lambda k: -scores[k])
+    by_effect: dict[str, list[int]] = {}
+    for k in order:
+        by_effect.setdefault(jobs[k][0].candidates[-1].key, []).append(k)
+    first = [key for key, own in by_effect.items() if MOST_FALL * scores[own[0]] > wanted][:KEPT]
+    gain_like = {key for key, own in by_effect.items() if jobs[own[0]][0].candidates[-1].effect.gain_like}
+    gains = [key for key in by_effect if key in gain_like and key not in first][:KEPT_GAINS]
     found = []
-    for key in (*first, *list(dict.fromkeys(gains))[:KEPT_GAINS]):
-        own = [k for k in order if added[k].key == key]
-        second = [k for k in own if AS_GOOD * scores[own[0]] < scores[k] < ALIKE * scores[own[0]]]
-        found += [jobs[k] for k in (own[0], *second[:1])]
+    for best, *others in (by_effect[key] for key in (*first, *gains)):
+        second = [k for k in others if AS_GOOD * scores[best] < scores[k] < ALIKE * scores[best]]
+        found += [jobs[k] for k in (best, *second[:1])]
     return found
 
 
@@ -471,25 +447,22 @@ def related(a: Candidate, b: Candidate) -> bool:
 
 def may_be_added(candidate: Candidate, base: Hypothesis) -> bool:
     """Exclude effects of the base, parents of its refinements, and a second coupling."""
-    for there in base.candidates:
-        refined = candidate.effect.refines == there.effect.id
-        if related(candidate, there) and not refined:
-            return False
-        if candidate.effect.structural and there.effect.structural:
-            return False
-    return True
+    return not any(
+        (related(candidate, there) and candidate.effect.refines != there.effect.id)
+        or (candidate.effect.structural and there.effect.structural)
+        for there in base.candidates
+    )
 
 
 def without(problem: Problem, fit: Fit, k: int) -> Start:
     """Return the hypothesis without its k-th effect, and its standardised parameters."""
-    candidates = fit.hypothesis.candidates
-    removed = problem.slices(fit.hypothesis)[k][1]
+    candidates, removed = fit.hypothesis.candidates, problem.slices(fit.hypothesis)[k][1]
     return Hypothesis(candidates[:k] + candidates[k + 1 :]), np.delete(fit.z, removed)
 
 
 def extended(
     problem: Problem, base: Hypothesis, base_z: Array, candidate: Candidate, start: Mapping[str, float]
-) -> tuple[Hypothesis, Array]:
+) -> Start:
     """Return the base with the candidate, and the initial point of its fit; a refinement replaces its parent."""
     kept, z = [], list(base_z[: len(problem.nuisances)])
     for there, own in problem.slices(base):
@@ -503,6 +476,18 @@ def extended(
     return hypothesis, np.array([*z, *candidate.standardised(start)])
 
 
+def _at_line(candidate: Candidate, line: UnnamedEvidence) -> Candidate:
+    """Return an effect that can make a line, with starts at that line and, of a wave, at its phase."""
+    # If the motion follows the wave, a fit from zero amplitude would converge to another period.
+    effect = candidate.effect
+    at = {"orders": (2.0 * np.pi / line.period,)} if effect.spatial else {"lines": (1.0 / line.period,)}
+    scales = replace(candidate.scales, **at)
+    starts = effect.starts(scales)
+    if {"Ac", "As"} <= set(starts[0]):
+        starts = (*starts, {**starts[0], "Ac": line.wave[0], "As": line.wave[1]})
+    return Candidate(effect, candidate.site, effect.parameters(scales), starts, scales)
+
+
 def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
     """Return the starts of the effect: its own, or those that the set's parameters and clocks imitate."""
     effect, site, count = candidate.effect, candidate.site, len(problem.nuisances)
@@ -512,14 +497,14 @@ def _starts(problem: Problem, base: Fit, candidate: Candidate) -> list[Start]:
 
     found = [at(start) for start in candidate.starts]
     pairs = list(zip(problem.nuisances, base.z[:count].tolist(), strict=True))
+    name = candidate.parameters[0].name
     if site.kind == "parameter" and effect.scale:  # the refitted factor
-        name = candidate.parameters[0].name
         found += [at({name: n.factor(z)}) for n, z in pairs if n.label == site.name]
     elif effect.gain_like and site.kind != "joint":  # the factor of the most changed parameter; all at their values
         stretch = [n.spread * z for n, z in pairs if n.names and not n.additive]
         likely = max(stretch, key=lambda s: abs(s) if abs(s) < MOST_STRETCHED else 0.0, default=0.0)
         for sign in (1.0, -1.0) if pairs else ():
-            found.append(at({candidate.parameters[0].name: float(np.exp(sign * likely))}))
+            found.append(at({name: float(np.exp(sign * likely))}))
             found[-1][1][:count] = 0.0
     if effect.delay:  # the shift of an input's clock, which is reset
         for k, (clock, z) in enumerate(pairs):

@@ -18,7 +18,6 @@ from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, error_context
 from robustlab.identification import tuning
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem
-from robustlab.identification.missing_effects.posterior import place_of
 
 ONE_FACTOR = "scaled by one factor"
 SIGMAS = 2.0  # standard deviations in a refitted parameter's tolerance
@@ -50,7 +49,7 @@ def updated_plant(problem: Problem, fit: Fit, source: str, kinds: Sequence[Any] 
 def _spread_of(kinds: Sequence[Any], candidate: Candidate) -> float:
     """Return the relative standard deviation of an open class's size, if it is that of the effect's first parameter."""
     for kind in kinds:
-        own = place_of(candidate) in kind.members and not kind.settled
+        own = candidate.key in kind.members and not kind.settled
         if own and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
             size = kind.values[0]
             return 0.5 * (size.upper - size.lower) / (tuning.INTERVAL * abs(size.value)) if size.value else 0.0
@@ -89,9 +88,7 @@ def _refitted(plant: AnyPlant, factors: dict[str, float], spread: dict[str, floa
 def _new_value(nominal: Parameter, factor: float, width: float) -> tuple[float, float]:
     """Return value and tolerance, as `Parameter` reads them, of a parameter at a factor of its reference."""
     value = nominal.reference * factor
-    if not value:
-        return 0.0, width
-    return value, min(MOST, width if nominal.value else width / abs(value))
+    return (value, min(MOST, width if nominal.value else width / abs(value))) if value else (0.0, width)
 
 
 def _together(plant: AnyPlant, changed: Iterable[str]) -> list[tuple[str, ...]]:

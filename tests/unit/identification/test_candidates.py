@@ -186,24 +186,22 @@ USUAL = {"coulomb-friction", "sensor-delay"}
     ],
 )  # fmt: skip
 def test_the_candidates_are_the_effects_that_the_plant_and_its_record_can_have(plant, outputs, there, absent):
-    found = {key.split(" @ ")[0] for key in tried(plant, outputs)}
+    found = {key.split("@")[0] for key in tried(plant, outputs)}
     assert there <= found
     assert not found & absent
 
 
 def test_an_unrecorded_sensor_has_no_candidates_and_each_line_has_one():
-    assert {
-        key for key in tried("servo-axis", ("q",)) if key.startswith("sensor-") and not key.endswith("@ q")
-    } == set()
-    lines = [c.scales.orders for c in tried("servo-axis")["cogging @ v"]]
+    assert {key for key in tried("servo-axis", ("q",)) if key.startswith("sensor-") and not key.endswith("@q")} == set()
+    lines = [c.scales.orders for c in tried("servo-axis")["cogging@v"]]
     assert len(set(lines)) == len(lines)
     assert all(len(k) == 1 for k in lines)
 
 
 def test_a_one_sided_contact_has_candidates_on_both_sides_within_the_record():
-    upper, lower = (c for c in tried("servo-axis")["one-sided-spring @ v"])
+    upper, lower = (c for c in tried("servo-axis")["one-sided-spring@v"])
     assert (upper.scales.side, lower.scales.side) == (1, -1)
-    (both,) = tried("servo-axis")["end-stop @ v"]
+    (both,) = tried("servo-axis")["end-stop@v"]
     for candidate, limits in ((upper, ["q0"]), (lower, ["q0"]), (both, ["q_min", "q_max"])):
         seen = candidate.scales
         for z in (-8.0, 0.0, 8.0):  # the limits of a fit
@@ -215,7 +213,7 @@ def test_a_one_sided_contact_has_candidates_on_both_sides_within_the_record():
 def test_a_ripple_over_time_starts_at_its_line():
     axis = rl.with_effects(rl.plant("servo-axis"), {"torque-ripple": {"Ac": 5.0, "As": 5.0, "f": 41.0}})
     run = rl.simulate(axis, T, U)
-    (found, *_) = tried_with(axis.plant, rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run"))["torque-ripple @ v"]
+    (found, *_) = tried_with(axis.plant, rl.Record(run.t, run.inputs, {"q": run["q"]}, name="run"))["torque-ripple@v"]
     assert found.starts == ({"Ac": 0.0, "As": 0.0, "f": pytest.approx(41.0, abs=0.15)},)
-    without = [c.starts for c in tried("servo-axis")["torque-ripple @ v"]]
+    without = [c.starts for c in tried("servo-axis")["torque-ripple@v"]]
     assert [s["f"] for s in without[0]] == [50.0, 100.0, 60.0, 120.0]

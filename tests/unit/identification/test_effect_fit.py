@@ -54,7 +54,7 @@ def dense_parts(problem: Problem, hypothesis: Hypothesis, noise: NoiseModel):
 
 def linear_hypotheses() -> dict[str, Hypothesis]:
     """Return hypotheses with linear effects of normal prior: a constant load and a bias of the speed sensor."""
-    load, bias = exact()[1]["constant-load @ v"], exact()[1]["sensor-bias @ v"]
+    load, bias = exact()[1]["constant-load@v"], exact()[1]["sensor-bias@v"]
     return {"none": NONE, "load": Hypothesis((load,)), "bias": Hypothesis((bias,)), "both": Hypothesis((load, bias))}
 
 
@@ -192,7 +192,7 @@ def with_friction():
 
 def test_coulomb_friction_is_found_in_an_event_driven_simulation():
     problem, pool = problem_of(with_friction())
-    friction = pool["coulomb-friction @ v"]
+    friction = pool["coulomb-friction@v"]
     hypothesis = Hypothesis((friction,))
     start = np.array([0.0, 0.0, *friction.standardised(friction.starts[0])])
     fit = problem.fit(hypothesis, first_noise(problem), start, plan=FitPlan(25))
@@ -206,7 +206,7 @@ def test_parameters_lie_within_their_intervals():
     misses = []
     for seed in range(4):
         problem, pool = problem_of(recorded(with_friction(), seed))
-        friction = pool["coulomb-friction @ v"]
+        friction = pool["coulomb-friction@v"]
         noise = NoiseModel(1e-3 * np.ptp(problem.records[0].y, axis=0), np.zeros((0, 2)))
         fit = problem.fit(Hypothesis((friction,)), noise, np.zeros(3), plan=FitPlan(20))
         spread = np.array([n.spread for n in problem.nuisances] + [friction.parameters[0].prior.spread])

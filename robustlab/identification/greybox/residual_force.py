@@ -1,19 +1,21 @@
-"""Evidence for a residual force of a hypothesis: a Gaussian process over speed, position, time or input, or a line, on
-top of the random force. Gains in nats, less the log of the searched possibilities, and by cross-validation over windows
-(Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and 5.4).
+"""Residual force of a hypothesis: evidence for a Gaussian process over speed, position, time or input, or a line, on
+top of the random force, in nats, less the log of the searched possibilities, and by cross-validation over windows
+(Rasmussen, Williams, *Gaussian Processes for Machine Learning*, 2006, sections 2.7 and 5.4); and its curves with bands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.dynamics.effects.contract import Site
 from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import RobustlabError
 from robustlab.identification.greybox.effect_fit import Fit, Problem
 from robustlab.identification.greybox.random_force import (
@@ -24,6 +26,7 @@ from robustlab.identification.greybox.random_force import (
     force_response,
     plain_places,
 )
+from robustlab.result import Evidence
 
 Over = Literal["speed", "position", "time", "input", "line over time", "line over position"]
 
@@ -34,7 +37,15 @@ OVERSAMPLED = 4.0  # wave numbers per turn over the range
 TURNS = 2.0  # of a line over the position within its range, at least; fewer are a curve
 SLOWEST = 5.0  # periods of a line over time in a record, at least: slower ones are drift
 FINEST = 1500.0  # periods within the range, at most
+FEWEST_BLOCKS = 8  # of a curve
+REST = 0.01  # of the largest speed: slower counts as rest, where dry friction balances any force
+BINS = 24
+BINS_OF_TIME = 6  # each with several blocks: a share is of blocks that the curve has not seen
 SHARP = 0.01  # of the largest speed or input, within which a dry force changes sign
+PRIOR = 0.05  # prior probability of an effect outside the catalogue
+STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
+# Errors of singular equations: too little motion, or an unobservable parameter.
+SINGULAR = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
 
 
 class Family(NamedTuple):
@@ -89,13 +100,19 @@ def _curve(
 
 
 def _lines(windows: FittedWindows) -> list[Family]:
-    response = windows.response
-    clock, motion = response.mean(response.clock), response.motion
-    families = [_line(response, "line over time", clock, None, *f) for f in _strongest(windows, clock, None, SLOWEST)]
+    """Return the strongest lines over time and over the position."""
+    response, motion = windows.response, windows.response.motion
+    sought: list[tuple[Over, Array, Array | None, float]] = [
+        ("line over time", response.mean(response.clock), None, SLOWEST)
+    ]
     if motion.position is not None and motion.speed is not None:
         q, v = response.mean(motion.position), response.mean(motion.speed)
-        families += [_line(response, "line over position", q, v, *found) for found in _strongest(windows, q, v, TURNS)]
-    return families
+        sought.append(("line over position", q, v, TURNS))
+    return [
+        _line(response, over, x, v, *found)
+        for over, x, v, least in sought
+        for found in _strongest(windows, x, v, least)
+    ]
 
 
 def _line(response: ForceResponse, over: Over, x: Array, v: Array | None, wave: float, count: float) -> Family:
@@ -153,12 +170,6 @@ def _transformed(x: Array, values: Array, waves: Array) -> ComplexArray:
     return np.asarray(spectrum[np.round(waves / step).astype(int)])
 
 
-PRIOR = 0.05  # prior probability of an effect outside the catalogue
-# Errors of singular equations: too little motion, or an unobservable parameter.
-SINGULAR = (RobustlabError, np.linalg.LinAlgError, ValueError, ArithmeticError)
-STRENGTHS = 10.0 ** np.arange(-3.5, 0.1, 0.5)  # lambda, of the force that moves the port
-
-
 @dataclass(frozen=True, eq=False)
 class UnnamedEvidence:
     """A residual force on top of a hypothesis, against the hypothesis alone."""
@@ -179,6 +190,11 @@ class UnnamedEvidence:
     def wins(self) -> bool:
         """Return whether it is more probable than no force, with its prior, and improves held-out windows."""
         return self.evidence > -np.log(PRIOR) and self.cross_validated > 0.0
+
+    @property
+    def gain(self) -> float:
+        """Return its gain in log evidence including the prior, by the smaller of evidence and cross-validation."""
+        return float(np.logaddexp(np.log1p(-PRIOR), np.log(PRIOR) + min(self.evidence, self.cross_validated)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,8 +234,8 @@ def judged(windows: FittedWindows, family: Family, kinds: int, port: str) -> Unn
     levels = windows.levels(family.columns, windows.smaller)
     alone = max(level.alone for level in [*levels, windows.alone])
     strengths = (STRENGTHS * windows.response.motion.force) ** 2
-    best = None
-    for level in levels:
+
+    def strongest(level: NoiseLevel) -> tuple[float, NoiseLevel, float, float]:
         h, b, det = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
         w, u = np.linalg.eigh(h)
         w = np.maximum(w, 0.0)
@@ -229,11 +245,10 @@ def judged(windows: FittedWindows, family: Family, kinds: int, port: str) -> Unn
         logdet = np.log1p(strengths[:, None] * w).sum(axis=1) + level.logdet.sum() + det
         p = -0.5 * n * np.log(q / n) - 0.5 * logdet
         at = int(p.argmax())
-        if best is None or p[at] > best[0]:
-            best = (float(p[at]), level, float(strengths[at]), float(q[at]))
-    assert best is not None
-    p, level, strength, q = best
-    cv = _cross_validated(windows, level.gram, count, strength, windows.alone, level, q)
+        return float(p[at]), level, float(strengths[at]), float(q[at])
+
+    p, level, strength, q = max(map(strongest, levels), key=lambda found: found[0])
+    cv = _cross_validated(windows, level, count, strength, q)
     h, b, _ = _projected(windows.with_prior(level.gram.sum(axis=0)), count, n_z)
     mean = np.linalg.solve(h + np.eye(count) / strength, b)
     evidence = float(p - alone - np.log(len(STRENGTHS) * kinds) - family.price)
@@ -256,17 +271,13 @@ def _projected(gram: Array, count: int, n_z: int) -> tuple[Array, Array, float]:
     return rest[:count, :count], rest[:count, -1], float(np.linalg.slogdet(inner)[1])
 
 
-def _cross_validated(
-    windows: FittedWindows, gram: Array, count: int, strength: float, alone: NoiseLevel, level: NoiseLevel, q: float
-) -> float:
+def _cross_validated(windows: FittedWindows, level: NoiseLevel, count: int, strength: float, q: float) -> float:
     """Return the gain by the family in the log predictive density of each window given the others, summed."""
-    n_z, n = len(windows.z), windows.points
-    points = windows.response.points
+    n_z, n, points, alone = len(windows.z), windows.points, windows.response.points, windows.alone
 
     def predictive(grams: Array, logdet: Array, k: int, scale: float) -> float:
         total = grams.sum(axis=0)
-        every = np.concatenate([total[None], total - grams])
-        every = windows.with_prior(every)
+        every = windows.with_prior(np.concatenate([total[None], total - grams]))
         if k:
             every[:, :k, :k] += np.eye(k) / strength
         v, det = eliminated(every, k + n_z)
@@ -274,4 +285,114 @@ def _cross_validated(
         return float(np.sum(p[0] - p[1:] - 0.5 * logdet - 0.5 * points * np.log(scale)))
 
     without = alone.gram[:, -n_z - 1 :, -n_z - 1 :]
-    return predictive(gram, level.logdet, count, q / n) - predictive(without, alone.logdet, 0, alone.alone_q / n)
+    return predictive(level.gram, level.logdet, count, q / n) - predictive(without, alone.logdet, 0, alone.alone_q / n)
+
+
+# --- curves ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ForceCurve(Evidence):
+    """Residual force over one coordinate."""
+
+    coordinate: str
+    unit: str
+    # x, value, low, high: middle of each bin, mean force in it, and its 95 % band, (n_bins,), in order of x
+    x: Array
+    value: Array
+    low: Array
+    high: Array
+    count: NDArray[np.int_]  # samples in each bin
+    share: float  # of the variance explained by a curve over this coordinate in blocks not fitted, 0..1
+
+
+@dataclass(frozen=True)
+class ResidualForce(Evidence):
+    """The residual force over each coordinate."""
+
+    unit: str  # of the force
+    rms: float
+    noise_share: float  # of its variance, by the estimate's own std
+    curves: Mapping[str, ForceCurve]  # coordinate -> curve
+    blocks: int  # number of blocks
+
+
+def residual_force(plant: AnyPlant, places: Sequence[tuple[FittedWindows, Site]]) -> ResidualForce | None:
+    """Return the residual force at the most probable place; a block is a window."""
+    windows, _ = max(places, key=lambda there: there[0].log_likelihood)
+    force, std = windows.force_along()
+    response, motion = windows.response, windows.response.motion
+    along = {"time": (response.clock, "s"), "speed": (motion.speed, motion.speed_unit)}
+    along["position"] = motion.position, motion.position_unit
+    along |= {f"input {s.name}": (response.u[:, :, j], s.unit) for j, s in enumerate(plant.inputs)}
+    coordinates = {name: response.mean(x).ravel() for name, (x, _) in along.items() if x is not None}
+    block = np.repeat(np.arange(len(force)), force.shape[1])
+    units = {name: unit for name, (_, unit) in along.items()}
+    return force_curves(force.ravel(), std.ravel(), coordinates, block, units, motion.unit)
+
+
+def force_curves(
+    force: Array, std: Array, x: Mapping[str, Array], block: NDArray[np.int_], units: Mapping[str, str], unit: str
+) -> ResidualForce | None:
+    """Return curves of a force (n,) over the coordinates, of the samples in motion; None with too few blocks."""
+    if "speed" in x:
+        moving = np.abs(x["speed"]) > REST * np.abs(x["speed"]).max()
+        if moving.mean() >= 0.2:
+            force, std, block = force[moving], std[moving], block[moving]
+            x = {name: values[moving] for name, values in x.items()}
+    count = len(used := np.unique(block))
+    if count < FEWEST_BLOCKS:
+        return None
+    belongs = (used[:, None] == block).astype(float)
+    curves = {
+        name: _binned(name, units.get(name, ""), force, std, values, belongs)
+        for name, values in x.items()
+        if np.ptp(values) > 0.0
+    }
+    variance = float(np.var(force))
+    noise = min(1.0, float(np.mean(std**2)) / variance) if variance > 0.0 else 1.0
+    return ResidualForce(unit, float(np.sqrt(np.mean(force**2))), noise, curves, count)
+
+
+def _binned(name: str, unit: str, force: Array, std: Array, x: Array, belongs: Array) -> ForceCurve:
+    """Return means in bins with equal counts, bands from the scatter of the blocks, and the held-out share."""
+    sides = [side for side in (x[x < 0], x[x > 0]) if len(side)] if name == "speed" else [x]
+    most = BINS_OF_TIME if name == "time" else BINS
+    parts = [np.quantile(s, np.linspace(0.0, 1.0, max(2, round(most * len(s) / len(x))) + 1)) for s in sides]
+    edges = np.unique(np.concatenate(parts))
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
+    used, place = np.unique(place, return_inverse=True)
+    one = (place[:, None] == np.arange(len(used))).astype(float)
+    count, weight, sums = one.sum(axis=0), belongs @ one, belongs @ (one * force[:, None])
+    value = sums.sum(axis=0) / count
+    # In a bin with few blocks the spread between blocks is unreliable: the spread within the bin counts as well.
+    visits = (weight > 0).sum(axis=0)
+    between = np.sqrt(((sums - value * weight) ** 2).sum(axis=0) * visits / np.maximum(visits - 1, 1)) / count
+    inside = np.sqrt((one * (force[:, None] - value) ** 2).sum(axis=0) / count)
+    own = np.sqrt((one * std[:, None] ** 2).sum(axis=0) / count / visits)
+    spread = np.maximum(between, own)
+    band = 2.0 * np.where(visits < 4, np.maximum(spread, inside), spread)
+    # Each block is predicted by the means of the others; where they have none, by their mean over all bins.
+    others = sums.sum(axis=0) - sums, count - weight
+    mean = (others[0].sum(axis=1) / others[1].sum(axis=1))[:, None]
+    predicted = np.where(others[1] > 0, others[0] / np.maximum(others[1], 1.0), mean)
+    left = float(force @ force - 2.0 * (predicted * sums).sum() + (predicted**2 * weight).sum())
+    whole = float(force @ force - 2.0 * (mean * sums).sum() + (mean**2 * weight).sum())
+    share = max(0.0, 1.0 - left / whole) if whole > 0.0 else 0.0
+    middle = (one * x[:, None]).sum(axis=0) / count
+    return ForceCurve(name, unit, middle, value, value - band, value + band, count.astype(int), share)
+
+
+def remaining_lines(
+    places: Sequence[tuple[FittedWindows, Site]], left: Sequence[Unnamed]
+) -> tuple[dict[str, Any], ...]:
+    """Return the most probable line with evidence over position and over time at each place, the largest first."""
+    found = []
+    for (windows, _), forces in zip(places, left, strict=False):  # none is left of singular equations
+        motion = windows.response.motion
+        lines = [f for f in forces.forces if f.wins and np.isfinite(f.period)]
+        for over, unit in (("position", motion.position_unit), ("time", "s")):
+            if (line := next((f for f in lines if f.over.endswith(over)), None)) is not None:
+                size = {"amplitude": float(np.hypot(*line.wave)), "force_unit": motion.unit}
+                found.append({"over": over, "period": line.period, "unit": unit, **size, "evidence": line.evidence})
+    return tuple(sorted(found, key=lambda line: -line["amplitude"]))
