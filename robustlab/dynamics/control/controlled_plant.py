@@ -112,7 +112,8 @@ def controlled_nonlinear(
 ) -> ControlledNonlinearPlant | ExtendedPlant:
     """Return the plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs)."""
     model, c, m = loop_parts(plant, K, controlled, measured)
-    base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedPlant) else (plant, ())
+    effects = plant.effects if isinstance(plant, ExtendedPlant) else ()
+    base: Any = plant.plant if isinstance(plant, ExtendedPlant) else plant
     for e in effects:
         if e.on_signal or e.effect.structural:
             raise InputError(f"{plant.name} under control", e.in_words, "forces at joints, and parameters")

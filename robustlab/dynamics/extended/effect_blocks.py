@@ -596,7 +596,7 @@ FORM_ROUNDING = 1e-9
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
     """Return the linear model as a plant in descriptor form, affine in the parameters with tolerances."""
-    base = plant.plant
+    base: Any = plant.plant
     if not plant.effects:
         return base
     factors = factors_of(base, plant.effects)
@@ -660,7 +660,8 @@ def _structure(
     plant: ExtendedPlant, linear: StateSpaceModel, scaled: Mapping[str, float]
 ) -> Callable[[Mapping[str, float]], list[Array]]:
     """Return a function from parameter values to E, F, G, C, D of all states, without a constant part of F."""
-    base, own, size = plant.plant, plant.model.own, len(plant.states)
+    base: Any = plant.plant
+    own, size = plant.model.own, len(plant.states)
     inertia = base.matrices(scaled)[0]
     split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
     for name, port in plant.model.ports.items():

@@ -388,7 +388,7 @@ class ExtendedPlant(SteppedPlant):
     def _inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
         """Return the part of A from the derivative of a nonlinear plant's inertia under forces at ports."""
         own, n = len(self.plant.states), len(self.states)
-        rows = load_coordinates(self.plant, self.effects)
+        rows = load_coordinates(self.changed, self.effects)
         at = rows @ x
         here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
         steps = POSITION_STEP * np.maximum(np.abs(at), 1.0)
@@ -460,7 +460,7 @@ class ExtendedPlant(SteppedPlant):
                 return np.zeros(len(self.states) + len(self.inputs)), given
             rest = self.changed.equilibrium(**other)
         x, names = self.whole_state(rest.x).copy(), [s.name for s in self.states]
-        joints = [p for p in self.plant.port_places if p.position]
+        joints = [p for p in self.changed.port_places if p.position]
         x[[names.index(p.name) for p in joints]] = 0.0  # rounding would mean sliding
         if other and rest.pose is not None:
             given |= {p.position: x[names.index(p.position)] for p in joints}
