@@ -20,6 +20,7 @@ from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
+from robustlab.uncertainty.reduction import rank_factors
 
 
 @dataclass(frozen=True)
@@ -142,10 +143,12 @@ class LinearPlant(Plant):
             if name not in spans:
                 continue
             e, f, g, c, d = (terms[k] for terms in form.coefficients.values())
-            columns, rows = _rank_factors(np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]]))
+            part = np.block([[f, g, -e], [c, d, np.zeros((n_y, n))]])
+            columns, rows = rank_factors(part, ROUNDING * np.abs(part).max(initial=0.0))
             if columns.shape[1]:
-                left.append(columns)
-                right.append(spans[name].radius * rows)
+                size = np.abs(columns).max(axis=0)  # the largest entry of each column is one
+                left.append(columns / size)
+                right.append(spans[name].radius * size[:, None] * rows)
                 blocks.append(RealScalar(name, columns.shape[1], spans[name]))
         count = sum(b.rows for b in blocks)
         e = self.matrices(self.values)[0]
@@ -167,22 +170,6 @@ class LinearPlant(Plant):
                     where, wrong = f"{self.name}: equations", f"{name} is not affine in the parameters"
                     hint = "bring a quotient to the left-hand side (into E); give a product a parameter of its own"
                     raise InputError(where, wrong, "sums of constant multiples of parameters", hint)
-
-
-def _rank_factors(matrix: Array) -> tuple[Array, Array]:
-    """Return ``matrix = columns @ rows`` of minimal rank, by elimination with full pivoting."""
-    rest = matrix.copy()
-    columns, rows = [np.zeros((len(matrix), 0))], [np.zeros((0, matrix.shape[1]))]
-    smallest = ROUNDING * np.abs(matrix).max(initial=0.0)
-    while np.abs(rest).max(initial=0.0) > smallest:
-        i, j = np.unravel_index(np.argmax(np.abs(rest)), rest.shape)
-        size, sign = abs(rest[i, j]), np.sign(rest[i, j])
-        column, row = rest[:, [j]] / size, rest[[i], :] * sign  # the sign goes to the column: z grows with its signal
-        columns.append(column)
-        rows.append(row)
-        rest = rest - column @ row
-        rest[i, :], rest[:, j] = 0.0, 0.0
-    return np.hstack(columns), np.vstack(rows)
 
 
 def tied_plant(plant: LinearPlant, groups: Iterable[tuple[str, tuple[str, ...]]]) -> LinearPlant:

@@ -126,7 +126,7 @@ def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
     sys.path.append(str(where.parent))
     try:
         with _user_code(label):
-            exec(_compiled(raw, str(where), label), vars(module))  # noqa: S102  named by the user
+            exec(compile(raw, str(where), "exec", dont_inherit=True), vars(module))  # noqa: S102  named by the user
     finally:
         sys.path.remove(str(where.parent))
     hashes = {label: digest}
@@ -139,16 +139,6 @@ def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
             _neighbours[name] = sys.modules[name]
             hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
     return module, hashes
-
-
-def _compiled(raw: bytes, file: str, label: str) -> types.CodeType:
-    try:
-        return compile(raw, file, "exec", dont_inherit=True)
-    except SyntaxError as error:
-        place = f"{label}, line {error.lineno}" if error.lineno else label
-        raise InputError(place, f"is no Python: {error.msg}") from None
-    except ValueError as error:  # a NUL
-        raise InputError(label, f"is no Python: {error}") from None
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.effects.contract import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_plant import ExtendedEquations
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import tuning
@@ -202,7 +202,7 @@ def watch(
     checks.number("watch: false_alarm", false_alarm, "a probability between 0 and 1", above=0.0, below=1.0)
     if every is not None:
         checks.number("watch: every", every, "a length in s above 0", above=0.0)
-    extended = isinstance(model, ExtendedEquations)
+    extended = isinstance(model, ExtendedPlant)
     plant, attached = (model.plant, tuple(model.effects)) if extended else (known_plant(model, "watch"), ())
     left_out, watched = tuple(effect(name).id for name in exclude), None
     alarm, highest, onsets = -np.log(false_alarm), -np.inf, None  # evidence of each onset once an alarm is clear

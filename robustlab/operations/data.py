@@ -89,8 +89,8 @@ Example: robustlab data validate axis.h5 run3.csv --noise q=2e-5""",
 
 
 @operation(
-    "", "data-cover", result=f"{VALIDATED}model_validation.DataCover", gives="uncertain", made="model", infer=("", "of"),
-    public=f"{VALIDATED}model_validation.data_cover",
+    "", "data-cover", result=f"{VALIDATED}model_validation.DataCover", gives="uncertain", made="model",
+    infer=("", "of"), public=f"{VALIDATED}model_validation.data_cover",
     kinds={
         "noise": Table(Number(above=0), "outputs"), "margin": Number(least=1), "least": Number(least=0, below=1),
         "window": (

@@ -334,10 +334,10 @@ def cover(
 def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
     """Linearise a plant at a pose; return the model with the effects' loads before its inputs, and the loads."""
     from robustlab.dynamics.extended.effect_blocks import loaded_model
-    from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
     at = rl.trim(plant, pose=pose)
-    return loaded_model(plant, at) if isinstance(plant, ExtendedNonlinearPlant) else (rl.linearise(plant, at=at), ())
+    return loaded_model(plant, at) if isinstance(plant, ExtendedPlant) else (rl.linearise(plant, at=at), ())
 
 
 @operation(

@@ -40,9 +40,9 @@ AGREEMENT = 1e-6  # of the stored linear model with the rebuilt plant's, relativ
 
 def encode_plant(tree: Tree, obj: Plant) -> None:
     """Write A B C D and signals as of kind ``state-space`` at an equilibrium, and groups ``plant`` and ``effects``."""
-    from robustlab.dynamics.extended.extended_plant import ExtendedEquations
+    from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 
-    base = obj.plant if isinstance(obj, ExtendedEquations) else obj
+    base = obj.plant if isinstance(obj, ExtendedPlant) else obj
     own = not _is_rebuilt(base)
     # A plant of exactly these classes is its parameters, signals and equations.
     kind, of = type(base).__name__, getattr(base, "affine_equations", None)
@@ -72,7 +72,7 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
         put_columns(held.group("places"), PLACE, tapes.places)
     if own:
         matrices.encode_state_space(group.group("base"), _linear(base))
-    for k, e in enumerate(obj.effects if isinstance(obj, ExtendedEquations) else ()):
+    for k, e in enumerate(obj.effects if isinstance(obj, ExtendedPlant) else ()):
         one = tree.group("effects").group(str(k))
         one.attrs.update(id=e.effect.id, site=e.site.name, site_kind=e.site.kind, source=e.source)
         one.put("name", np.array(list(e.values), np.str_))

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
+from robustlab.checks import number
 from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.parameter_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
-from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
@@ -20,7 +21,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError
 from robustlab.result import Status
 from robustlab.signals import Taken, signal_positions
-from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array
+from robustlab.statespace import Signal, StateSpaceModel, as_model
 
 
 def controlled_plant(plant: LinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str]) -> LinearPlant:
@@ -91,8 +92,7 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
     if not isinstance(plant, LinearPlant) or any(n not in plant.values for n in needed) or len(plant.states) != 3:
         raise InputError("actuator cascade", f"plant {plant.name!r}", 'plant("linear-actuator")')
     for name, value in (("p_up", p_up), ("p_low", p_low), ("J", plant.values["J"])):
-        if not float(real_array(name, value, 0, "actuator cascade")) > 0:
-            raise InputError(f"actuator cascade: {name}", f"{value:g}", "a positive number")
+        number(f"actuator cascade: {name}", value, "a positive number", above=0)
     p, model = plant.values, plant.state_space()
     inertia = p["Km"] / model.A[1, 2]
     gains = torque_gains(p_low, **{name: p[name] for name in needed})
@@ -109,10 +109,11 @@ def actuator_cascade(plant: LinearPlant, p_up: float = 236.0, p_low: float = 300
 
 def controlled_nonlinear(
     plant: NonlinearPlant, K: Any, controlled: Sequence[str], measured: Sequence[str], at: Trim
-) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
+) -> ControlledNonlinearPlant | ExtendedPlant:
     """Return the plant under ``u = K v``, with v = (references of the controlled outputs, measured outputs)."""
     model, c, m = loop_parts(plant, K, controlled, measured)
-    base, effects = (plant.plant, plant.effects) if isinstance(plant, ExtendedNonlinearPlant) else (plant, ())
+    effects = plant.effects if isinstance(plant, ExtendedPlant) else ()
+    base: Any = plant.plant if isinstance(plant, ExtendedPlant) else plant
     for e in effects:
         if e.on_signal or e.effect.structural:
             raise InputError(f"{plant.name} under control", e.in_words, "forces at joints, and parameters")

@@ -25,7 +25,7 @@ from robustlab.dynamics.control.controlled_plant import (
     driver_in_loop,
     torque_gains,
 )
-from robustlab.dynamics.extended.extended_plant import ExtendedNonlinearPlant, with_effects
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.plant_contract import Trim
@@ -49,12 +49,6 @@ class LayeredController:
     upper: StateSpaceModel  # from r, phi, phidot (6 each) to the six motor torque references; continuous
     lower: TorqueGains  # gains of every motor's torque loop
     at: Trim  # its torques and voltages are added to the controller's outputs
-
-    def __post_init__(self) -> None:
-        if (self.upper.n_inputs, self.upper.n_outputs) != (18, 6) or self.upper.is_discrete:
-            kind = "discrete" if self.upper.is_discrete else "continuous"
-            found = f"{self.upper.n_inputs} inputs and {self.upper.n_outputs} outputs, {kind}"
-            raise InputError("layered controller", found, "r, phi, phidot (6 each) in and 6 torques out, continuous")
 
     def state_space(self) -> StateSpaceModel:
         """Return the linear controller: inputs r, phi, phidot, torque (6 each), outputs the six voltages."""
@@ -91,8 +85,7 @@ def two_layer(plant: StewartPlatform, p_up: float = 236.0, p_low: float = 3000.0
     if not (isinstance(plant, StewartPlatform) and plant.motors):
         raise InputError("two_layer", "a plant without motors", 'plant("stewart-platform", motors=True)')
     for name, value in (("p_up", p_up), ("p_low", p_low)):
-        if not float(real_array(name, value, 0, "two_layer")) > 0:
-            raise InputError(f"two_layer: {name}", f"{value:g}", "a positive number")
+        number(f"two_layer: {name}", value, "a positive number", above=0)
     point = trim(plant)
     p, a, one = plant.values, linearise(plant, point).A, np.eye(6)
     gain = a[6:12, 12:] / p["Km"]
@@ -153,10 +146,9 @@ class SineTrajectory:
             if len(vector) != 6:
                 raise InputError("trajectory", f"{name} has {len(vector)} entries", "6")
             object.__setattr__(self, name, vector)
-        for name, low in (("omega", "positive"), ("lift_time", "positive"), ("rise_time", "not negative")):
-            value = float(real_array(name, getattr(self, name), 0, "trajectory"))
-            if value < 0 or (value == 0 and low == "positive"):
-                raise InputError(f"trajectory: {name}", f"{value:g}", f"a number that is {low}")
+        for name in ("omega", "lift_time"):
+            number(f"trajectory: {name}", getattr(self, name), "a number that is positive", above=0)
+        number("trajectory: rise_time", self.rise_time, "a number that is not negative", at_least=0)
 
     def pose(self, t: ArrayLike) -> Array:
         """Return the pose (6,) at a time in s, or (n, 6) at times (n,)."""
@@ -243,16 +235,16 @@ def follow(
 
 
 def follow_with_torques(
-    plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, trajectory: SineTrajectory, t: ArrayLike, *,
+    plant: StewartPlatform | ExtendedPlant, K: StateSpaceModel, trajectory: SineTrajectory, t: ArrayLike, *,
     at: Trim,
 ) -> TrajectoryFollowing:  # fmt: skip
     """Simulate a machine without motors under a controller, with or without effects at its joints, in equal steps."""
-    machine: Any = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    machine: Any = plant.plant if isinstance(plant, ExtendedPlant) else plant
     clock = Record(t, name="follow").t
     reference = _within(machine, trajectory, clock)
     loop = torque_loop(plant, K, at)
     if isinstance(loop, ControlledNonlinearPlant):  # stepped like a plant with effects, because the loop is stiff
-        loop = ExtendedNonlinearPlant(loop.name, loop.parameters, loop.inputs, loop.outputs, loop.states, loop, ())
+        loop = ExtendedPlant(loop.name, loop.parameters, loop.inputs, loop.outputs, loop.states, loop, ())
     angles = nut_angles(machine.geometry, reference)
     start = np.concatenate([at.x[:12], np.zeros(as_model(K).n_states)])
     try:
@@ -264,8 +256,8 @@ def follow_with_torques(
 
 
 def torque_loop(
-    plant: StewartPlatform | ExtendedNonlinearPlant, K: StateSpaceModel, at: Trim
-) -> ControlledNonlinearPlant | ExtendedNonlinearPlant:
+    plant: StewartPlatform | ExtendedPlant, K: StateSpaceModel, at: Trim
+) -> ControlledNonlinearPlant | ExtendedPlant:
     """Return the loop of `follow_with_torques`, with references of the angles as inputs."""
     angles, rates = ([s.name for s in plant.outputs[k : k + 6]] for k in (0, 6))
     seen = angles if as_model(K).n_inputs == 12 else [*angles, *rates]
@@ -473,7 +465,7 @@ def follow_path(
     p_low: float = 3000.0,
 ) -> ControlledRuns:
     """Simulate the nonlinear Stewart platform along the path of section 9.1.3; ``at``: its start, None: home."""
-    machine = plant.plant if isinstance(plant, ExtendedNonlinearPlant) else plant
+    machine = plant.plant if isinstance(plant, ExtendedPlant) else plant
     if not isinstance(machine, StewartPlatform) or (machine.motors and machine is not plant):
         expected = "one, with motors, or without them and perhaps with effects"
         raise InputError("follow_path: plant", "no Stewart platform that can be followed here", expected)

@@ -9,6 +9,7 @@ r"""Effects as uncertainty: the linear model of a plant with effects, and blocks
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -24,17 +25,12 @@ from robustlab.display import AllFields, Displayable, Facts, Part, listed, numbe
 from robustlab.dynamics.descriptor_elimination import with_outputs
 from robustlab.dynamics.effects.contract import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
-from robustlab.dynamics.extended.extended_plant import (
-    ExtendedNonlinearPlant,
-    ExtendedPlant,
-    extended_model,
-    with_effects,
-)
+from robustlab.dynamics.extended.extended_plant import ExtendedPlant, extended_model, with_effects
 from robustlab.dynamics.extended.simulator import factors_of
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant, with_factors
 from robustlab.dynamics.parameters import Parameter
 from robustlab.dynamics.plant_contract import Trim
-from robustlab.dynamics.ports.port_model import Port, PortModel, port_model
+from robustlab.dynamics.ports.port_model import Port, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
@@ -52,7 +48,6 @@ STRETCHES = (0.5, 1.0, 2.0)
 SLOPE_ONLY = "only its slope at the point is in the model"
 
 Amplitude = float | tuple[float, float]
-AnyLinear = LinearPlant | ExtendedPlant
 Dry = Literal["gain", "load", "both"]
 
 
@@ -63,25 +58,10 @@ class ForceSector:
     effect: AttachedEffect
     port: Port
     signal: str
-    low: float
-    high: float
+    range: ParameterRange
+    row: Array  # of the gain's argument, (n_x,); zero for a force
     valid: str
     approximate: bool
-
-    @property
-    def range(self) -> ParameterRange:
-        below = self.port.position_unit if self.signal == "position" else self.port.speed_unit
-        unit = "" if self.signal == "force" else f"{self.port.unit}/({below})"
-        return ParameterRange(0.5 * (self.low + self.high), 0.5 * (self.high - self.low), unit)
-
-    @property
-    def row(self) -> Array:
-        """Row (n_x,) of the gain's argument."""
-        if self.signal == "force":
-            return np.zeros_like(self.port.velocity)
-        row = self.port.position if self.signal == "position" else self.port.velocity
-        assert row is not None
-        return row
 
 
 @dataclass(frozen=True)
@@ -100,20 +80,21 @@ class NoiseInput(AllFields):
 
 def _force_parts(
     plant: ExtendedPlant, amplitude: Mapping[str, Amplitude], dry: Dry | None, width: float
-) -> tuple[list[ForceSector], list[tuple[NoiseInput, Port]], dict[int, Array], dict[str, str]]:
+) -> tuple[list[ForceSector], list[Load], dict[int, Array], dict[str, str]]:
     """Return sectors, forces as inputs, law -> row of ``f = -row x`` in the nominal member, and effects left out."""
-    sectors, bounded = list[ForceSector](), list[tuple[NoiseInput, Port]]()
+    sectors, bounded = list[ForceSector](), list[Load]()
     replacements, left_out, missing = dict[int, Array](), dict[str, str](), dict[str, str]()
     for j, (e, _, port) in enumerate(plant.laws):
         seen = e.footprint()
+        reason = ""
         if seen is None or seen.signal not in ("speed", "current", "position", "force", "time"):
-            left_out[f"{e!r}"] = SLOPE_ONLY
-            continue
-        if e.effect.structural:
-            left_out[f"{e!r}"] = "it divides the joint: it is no force at one joint"
-            continue
-        if seen.signal == "force" and np.count_nonzero(port.force) != 1:
-            left_out[f"{e!r}"] = f"{SLOPE_ONLY}: its joint shares its inertia with others"
+            reason = SLOPE_ONLY
+        elif e.effect.structural:
+            reason = "it divides the joint: it is no force at one joint"
+        elif seen.signal == "force" and np.count_nonzero(port.force) != 1:
+            reason = f"{SLOPE_ONLY}: its joint shares its inertia with others"
+        if seen is None or reason:
+            left_out[f"{e!r}"] = reason
             continue
         key = _signal_name(plant, port, seen.signal)
         as_gain, as_load = _as_gain_or_force(e, seen, key in amplitude, dry)
@@ -131,9 +112,7 @@ def _force_parts(
             if found.range.radius > 0:
                 sectors.append(found)
         if as_load:
-            (name,) = _free_names([e.load_name], [load.name for load, _ in bounded])
-            words = f"{e.in_words} as a bounded force, for every motion; {e.values_in_words}"
-            bounded.append((NoiseInput(name, e.largest_offset(width), port.unit, words), port))
+            bounded.append(_load(plant, plant.model.ports, e, width, "a bounded force, for every motion"))
         replacements[j] = row
     if missing:
         raise _no_amplitude(missing, '; dry="load" for friction needs none')
@@ -193,33 +172,24 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
     ends = _pair(1.0 if amplitude is None else amplitude)
     all_of = [f for a in ends for f in e.footprints(a, width)]
     low, high = min(f.gain_lower for f in all_of), max(f.gain_upper for f in all_of)
-    dry = bool(seen.offset)
-    if dry and ends[0] < ends[1]:
+    if seen.offset and ends[0] < ends[1]:
         at_largest = [f.describing for f in e.footprints(ends[1], width)]
         low = max(low, min(at_largest)) if np.isfinite(at_largest).all() else low
-    unit = port.position_unit if seen.signal == "position" else port.speed_unit
+    unit, row = port.speed_unit, port.velocity
+    if seen.signal == "position" and port.position is not None:
+        unit, row = port.position_unit, port.position
     if seen.signal == "force":
-        valid = "a gain that may change at every instant, for every motion"
+        valid, row = "a gain that may change at every instant, for every motion", np.zeros_like(row)
     elif amplitude is None:
         valid = "at every amplitude, as a gain that may change with the motion"
-    elif dry:
-        reach = f"of amplitude {ends[0]:.4g} {unit} and more"
-        if ends[0] < ends[1]:
-            reach = f"of amplitudes {ends[0]:.4g} to {ends[1]:.4g} {unit}"
-        valid = f"harmonic balance, for oscillations {reach}"
+    elif seen.offset:
+        reach = f"{ends[0]:.4g} {unit} and more" if ends[0] == ends[1] else f"{ends[0]:.4g} to {ends[1]:.4g} {unit}"
+        valid = f"harmonic balance, for oscillations of amplitude{'' if ends[0] == ends[1] else 's'} {reach}"
     else:
         valid = f"up to {ends[1]:.4g} {unit}, as a gain that may change with the motion"
-    return ForceSector(e, port, seen.signal, low, high, valid, dry and seen.signal != "force")
-
-
-def _free_names(names: list[str], taken: Sequence[str]) -> list[str]:
-    """Return the names, with primes where they are already taken."""
-    found: list[str] = []
-    for name in names:
-        while name in taken or name in found:
-            name += "'"
-        found.append(name)
-    return found
+    units = "" if seen.signal == "force" else f"{port.unit}/({unit})"
+    gains = ParameterRange(0.5 * (low + high), 0.5 * (high - low), units)
+    return ForceSector(e, port, seen.signal, gains, row, valid, bool(seen.offset) and seen.signal != "force")
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,46 +280,43 @@ def effect_blocks(
     checks.whole("effect_blocks: pade", pade, 1, 8)
     if dry not in (None, *get_args(Dry)):
         raise InputError("effect_blocks: dry", f"{dry!r}", f"one of {', '.join(get_args(Dry))}")
-    if isinstance(plant, LinearPlant):
-        if amplitude:
-            raise InputError("effect_blocks: amplitude", f"{plant.name} has no effects", "none")
-        loads = _residual_force(port_model(plant), unnamed)
-        inner = tied_plant(plant, tied)
-        whole = _with_origins(_with_forces(inner, [port for _, port in loads]).uncertain(), inner)
-        errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
-        made = EffectBlocks(*_errors_first(whole, plant, errors), {})
-    elif isinstance(plant, ExtendedPlant):
-        amplitude = amplitude or {}
-        _check_amplitudes(plant, amplitude)
-        sectors, bounded, replacements, left_out = _force_parts(plant, amplitude, dry, width)
-        levels = _signal_amplitudes(plant, amplitude)
-        linear = plant.linear_model(None, levels, replacements=replacements)
-        point = linear.operating_point
-        assert point is not None
-        loads = [*bounded, *_residual_force(plant.model, unnamed)]
-        inner = tied_plant(without_signals(plant, linear, width), tied)
-        ways = [*(s.port for s in sectors), *(port for _, port in loads)]
-        whole = _with_origins(_with_forces(inner, ways, sectors).uncertain(), inner)
-        whole, approximate = _with_sectors(whole, sectors, len(plant.inputs))
-        signals = plant.signal_levels(point.x, point.u)
-        into, out = ([s for s in signals if s[0].site.kind == kind] for kind in ("input", "output"))
-        whole = with_signals(whole, signals, levels, width, pade)
-        errors = [(load, len(plant.inputs) + i) for i, (load, _) in enumerate(loads)]
-        for e, k, _ in into:
-            if e.site.name not in amplitude and _is_bounded_error(plant, e):  # the bound of its error on the input
-                words = f"{e.in_words} as a bounded error, for every motion; {e.values_in_words}"
-                errors.append((NoiseInput(e.load_name, e.input_error(width) or 0.0, plant.inputs[k].unit, words), k))
-        for e, k, _ in out:
-            if bound := e.largest_offset(width):
-                signal, words = plant.outputs[k], f"{e.in_words} as a bounded error; {e.values_in_words}"
-                noise = NoiseInput(f"noise {signal.name}: {e.effect.id}", bound, signal.unit, words)
-                errors.append((noise, len(plant.inputs) + len(loads) + k))
-        left = {f"{e!r}": "a bounded error of an input" for e, _, _ in into if (f := e.footprint()) and f.offset}
-        made = EffectBlocks(*_errors_first(whole, plant, errors), left_out | left, tuple(approximate))
-        _check(plant.linear_model(None, levels, pade, replacements=replacements), plant.name, made)
-    else:
-        raise InputError("effect_blocks", type(plant).__name__, "a linear plant, with or without effects")
+    plant, amplitude = _extended(plant, "effect_blocks"), amplitude or {}
+    _check_amplitudes(plant, amplitude)
+    sectors, bounded, replacements, left_out = _force_parts(plant, amplitude, dry, width)
+    levels = _signal_amplitudes(plant, amplitude)
+    linear = plant.linear_model(None, levels, replacements=replacements)
+    point = linear.operating_point
+    assert point is not None
+    loads = [*bounded, *_residual_force(plant.model, unnamed)]
+    inner = tied_plant(without_signals(plant, linear, width), tied)
+    whole = _with_origins(_with_forces(inner, [*(s.port for s in sectors), *_ports(loads)], sectors).uncertain(), inner)
+    signals = plant.signal_levels(point.x, point.u)
+    whole = with_signals(_with_sectors(whole, sectors, len(plant.inputs)), signals, levels, width, pade)
+    errors = _placed(loads, plant)
+    for e, k, _ in sorted(signals, key=lambda signal: signal[0].site.kind):  # inputs first
+        if e.site.kind == "output":
+            signal, bound, at = plant.outputs[k], e.largest_offset(width), len(plant.inputs) + len(loads) + k
+            words, name = f"{e.in_words} as a bounded error; {e.values_in_words}", f"noise {signal.name}: {e.effect.id}"
+            errors += [(NoiseInput(name, bound, signal.unit, words), at)] if bound else []
+            continue
+        if e.site.name not in amplitude and _is_bounded_error(plant, e):
+            errors += _placed([_load(plant, {}, e, width, "a bounded error, for every motion")], plant)
+        if (seen := e.footprint()) and seen.offset:
+            left_out[f"{e!r}"] = "a bounded error of an input"
+    approximate = tuple(s.effect.key for s in sectors if s.approximate)
+    made = EffectBlocks(*_errors_first(whole, plant, errors), left_out, approximate)
+    _check(plant.linear_model(None, levels, pade, replacements=replacements), plant.name, made)
     return replace(made, model=with_outputs(made.model, outputs))
+
+
+def _extended(plant: Any, where: str) -> ExtendedPlant:
+    """Return a linear plant as one with effects, perhaps none."""
+    if isinstance(plant, LinearPlant):
+        return ExtendedPlant(plant.name, plant.parameters, plant.inputs, plant.outputs, plant.states, plant, ())
+    if not isinstance(plant, ExtendedPlant) or not plant.is_linear:
+        found = "a nonlinear plant" if isinstance(plant, ExtendedPlant) else type(plant).__name__
+        raise InputError(where, found, "a linear plant, with or without effects")
+    return plant
 
 
 def _signal_amplitudes(plant: ExtendedPlant, amplitude: Mapping[str, Amplitude]) -> dict[str, float]:
@@ -374,7 +341,7 @@ def _is_bounded_error(plant: ExtendedPlant, e: AttachedEffect) -> bool:
 
 
 def _errors_first(
-    whole: UncertainModel, plant: AnyLinear, errors: Sequence[tuple[NoiseInput, int]]
+    whole: UncertainModel, plant: ExtendedPlant, errors: Sequence[tuple[NoiseInput, int]]
 ) -> tuple[UncertainModel, tuple[NoiseInput, ...]]:
     """Put bounded errors as unit inputs before the plant's own; indices count inputs, forces and output errors."""
     m, (q, p) = whole.M, whole.delta_shape
@@ -389,7 +356,7 @@ def _errors_first(
     return UncertainModel(model, whole.blocks), tuple(e for e, _ in errors)
 
 
-def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[tuple[NoiseInput, Port]]:
+def _residual_force(model: PortModel, given: tuple[float, str] | None) -> list[Load]:
     if given is None:
         return []
     port = next((p for p in model.ports.values() if p.kind == "joint"), None)
@@ -434,31 +401,29 @@ def _with_origins(uncertain: UncertainModel, plant: LinearPlant) -> UncertainMod
     return UncertainModel(uncertain.M, blocks, uncertain.operating_point)
 
 
-def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: int) -> tuple[UncertainModel, list[str]]:
+def _with_sectors(whole: UncertainModel, sectors: Sequence[ForceSector], n_u: int) -> UncertainModel:
     """Close the sectors' forces as ``f = -r delta s``; their middle gains are in the plant already."""
-    k = len(sectors)
-    if not k:
-        return whole, []
-    m, (q, p), n_y = whole.M, whole.delta_shape, len(whole.outputs) - k
+    if not sectors:
+        return whole
+    m, (q, p), k = whole.M, whole.delta_shape, len(sectors)
+    n_y = len(whole.outputs) - k
     ins, outs = np.arange(m.n_inputs), np.arange(m.n_outputs)
     columns = [*ins[:q], *ins[q + n_u : q + n_u + k], *ins[q : q + n_u], *ins[q + n_u + k :]]
     rows = [*outs[:p], *outs[p + n_y :], *outs[p : p + n_y]]
     scale = np.ones(m.n_inputs)
     scale[q : q + k] = [s.range.radius if s.signal == "force" else -s.range.radius for s in sectors]
-    names = _free_names([s.effect.key for s in sectors], [b.name for b in whole.blocks])
     inputs, outputs = [m.inputs[j] for j in columns], [m.outputs[j] for j in rows]
-    inputs[q : q + k], outputs[p : p + k] = ([Signal(f"{w}_{n}") for n in names] for w in "wz")
+    inputs[q : q + k], outputs[p : p + k] = ([Signal(f"{w}_{s.effect.key}") for s in sectors] for w in "wz")
     model = StateSpaceModel(
         m.A, m.B[:, columns] * scale, m.C[rows], m.D[np.ix_(rows, columns)] * scale, m.dt, inputs, outputs, m.states,
         where="effect_blocks",
     )  # fmt: skip
     blocks = []
-    for name, s in zip(names, sectors, strict=True):
+    for s in sectors:
         seen = "of the force there" if s.signal == "force" else f"of its {s.signal}"
         words = f"{s.effect.in_words} as a sector {seen}; {s.valid}; {s.effect.values_in_words}"
-        blocks.append(RealScalar(name, 1, s.range, origin=words))
-    found = UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
-    return found, [name for name, s in zip(names, sectors, strict=True) if s.approximate]
+        blocks.append(RealScalar(s.effect.key, 1, s.range, origin=words))
+    return UncertainModel(model, [*whole.blocks, *blocks], whole.operating_point)
 
 
 def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
@@ -482,16 +447,15 @@ LARGEST_SAMPLES = 200
 class EffectLoads:
     """A plant as a linear set with loads."""
 
-    plant: AnyLinear
+    plant: ExtendedPlant
     model: UncertainModel  # inputs: the loads over their bounds, then the plant's
     loads: tuple[NoiseInput, ...]
-    effects: tuple[AttachedEffect, ...] = ()  # of each load
+    effects: tuple[AttachedEffect, ...]  # of each load
 
     def along(self, record: Record) -> Record:
         """Return the record with the simulated loads as further inputs."""
         if not self.loads:
             return record
-        assert isinstance(self.plant, ExtendedPlant)
         made = _along(self.plant, self.effects, record)[0]
         added = {load.name: signal / load.bound for load, signal in zip(self.loads, made, strict=True)}
         units = {**record.units, **{load.name: "1" for load in self.loads}}
@@ -529,16 +493,10 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
 
     Effects without a bound for every motion get their largest value along the records.
     """
-    if isinstance(plant, LinearPlant):
-        return EffectLoads(plant, plant.uncertain(), ())
-    if not isinstance(plant, ExtendedPlant):
-        raise InputError("effect_loads", type(plant).__name__, "a linear plant, with or without effects")
+    plant = _extended(plant, "effect_loads")
     linear = [e for e in plant.effects if _is_linear(e)]
-    base: LinearPlant = plant.plant
-    ports = port_model(base).ports
-    if linear:
-        rest = with_effects(plant.plant, linear)
-        base, ports = without_signals(rest, rest.linear_model(), sigmas), rest.model.ports
+    rest = with_effects(plant.plant, linear) if linear else _extended(plant.plant, "")
+    base, ports = without_signals(rest, rest.linear_model(), sigmas), rest.model.ports
     effects = tuple(e for e in plant.effects if e not in linear and e.effect.nameable)
     made = [_load(plant, ports, e, sigmas) for e in effects]
     free = [k for k, (load, _) in enumerate(made) if not np.isfinite(load.bound)]
@@ -552,10 +510,8 @@ def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = ()
         (load, way), e = made[k], effects[k]
         size = margin * max(_largest(plant, e, signals[k], states, sigmas) for signals, states in runs)
         made[k] = replace(load, bound=size, origin=f"{load.origin}; {within}"), way
-    pushed = [way for _, way in made if isinstance(way, Port)]
-    forces = iter(range(len(plant.inputs), len(plant.inputs) + len(pushed)))
-    at = [(load, way if isinstance(way, int) else next(forces)) for load, way in made]
-    return EffectLoads(plant, *_errors_first(_with_forces(base, pushed).uncertain(), plant, at), effects)
+    whole = _with_forces(base, _ports(made)).uncertain()
+    return EffectLoads(plant, *_errors_first(whole, plant, _placed(made, plant)), effects)
 
 
 def _largest(plant: ExtendedPlant, e: AttachedEffect, signal: Array, states: Array, sigmas: float) -> float:
@@ -580,9 +536,7 @@ def _law_along(law: Law, port: Port, states: Array) -> Array:
     ])  # fmt: skip
 
 
-def loaded_model(
-    plant: ExtendedNonlinearPlant, at: Trim, sigmas: float = 2.0
-) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
+def loaded_model(plant: ExtendedPlant, at: Trim, sigmas: float = 2.0) -> tuple[StateSpaceModel, tuple[NoiseInput, ...]]:
     """Return the linear model with bounded loads of a nonlinear plant with effects at a trim, and these loads."""
     linear, ports = plant.linear_model(at), plant.about(at.x, plant.mapped_input(at.u)).model.ports
     effects = [e for e in plant.effects if not _is_linear(e) and e.effect.nameable]
@@ -604,11 +558,13 @@ def _is_linear(e: AttachedEffect) -> bool:
     return not e.on_signal and not e.laws()
 
 
-def _load(
-    plant: ExtendedPlant | ExtendedNonlinearPlant, ports: Mapping[str, Port], e: AttachedEffect, sigmas: float
-) -> tuple[NoiseInput, Port | int]:
-    """Return the load of an effect (bound infinite if it has none) and its port or the index of its input."""
-    words = f"{e.in_words}; {e.values_in_words}"
+# A bounded force or input error, and its port or the index of its input.
+Load = tuple[NoiseInput, Port | int]
+
+
+def _load(plant: ExtendedPlant, ports: Mapping[str, Port], e: AttachedEffect, sigmas: float, kind: str = "") -> Load:
+    """Return the load of an effect; its bound is infinite if only a motion bounds it."""
+    words = f"{e.in_words}{' as ' if kind else ''}{kind}; {e.values_in_words}"
     if e.site.kind == "input":
         bound = e.input_error(sigmas)
         k = [s.name for s in plant.inputs].index(e.site.name)
@@ -622,6 +578,16 @@ def _load(
     raise InputError(where, "neither linear nor bounded whatever the motion", expected, hint)
 
 
+def _ports(loads: Sequence[Load]) -> list[Port]:
+    return [way for _, way in loads if isinstance(way, Port)]
+
+
+def _placed(loads: Sequence[Load], plant: ExtendedPlant) -> list[tuple[NoiseInput, int]]:
+    """Return loads with the index of their input, forces after the plant's inputs."""
+    forces = itertools.count(len(plant.inputs))
+    return [(load, way if isinstance(way, int) else next(forces)) for load, way in loads]
+
+
 # --- the linear part with its tolerances ------------------------------------------------------------------------------
 
 # Allowed difference of entries of an exact form, relative to the largest of the matrix.
@@ -630,7 +596,11 @@ FORM_ROUNDING = 1e-9
 
 def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> LinearPlant:
     """Return the linear model as a plant in descriptor form, affine in the parameters with tolerances."""
-    base, scaled = plant.plant, _scaled_values(plant)
+    base: Any = plant.plant
+    if not plant.effects:
+        return base
+    factors = factors_of(base, plant.effects)
+    scaled = base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
     parameters = {name: replace(p, value=scaled[name]) for name, p in base.parameters.items()}
     tied: dict[str, list[str]] = {}
     for e in plant.effects:
@@ -646,10 +616,10 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
                 label, 1.0, "", tolerance, e.source, f"{e.effect.title}, over the fitted value"
             )
             tied[label] = names
-    terms = _joint_terms(plant, linear, width)
-    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
-    structure = _structure(plant, linear)
+    structure = _structure(plant, linear, scaled)
     nominal = structure(scaled)
+    terms = _joint_terms(plant, nominal[0], width)
+    parameters |= {label: parameter for label, (parameter, _) in terms.items()}
     constant = nominal[0] @ linear.A - nominal[1]
     matrices = with_factors(structure, base.parameters, scaled, tied)
 
@@ -662,15 +632,9 @@ def without_signals(plant: ExtendedPlant, linear: StateSpaceModel, width: float)
     return LinearPlant(plant.name, parameters, plant.inputs, plant.outputs, plant.states, equations, base.exact)
 
 
-def _scaled_values(plant: ExtendedPlant) -> dict[str, float]:
-    base, factors = plant.plant, factors_of(plant.plant, plant.effects)
-    return base.values | {name: base.parameters[name].reference * factor for name, factor in factors.items()}
-
-
-def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) -> dict[str, tuple[Parameter, Array]]:
+def _joint_terms(plant: ExtendedPlant, inertia: Array, width: float) -> dict[str, tuple[Parameter, Array]]:
     """Return fitted springs and dampers at joints: parameter, and the entries of F per unit of it."""
     found: dict[str, tuple[Parameter, Array]] = {}
-    inertia = _structure(plant, linear)(_scaled_values(plant))[0]
     for e in plant.effects:
         if e.site.kind not in ("joint", "current") or e.laws() or e.effect.structural:  # a split joint stays nominal
             continue
@@ -692,10 +656,13 @@ def _joint_terms(plant: ExtendedPlant, linear: StateSpaceModel, width: float) ->
     return found
 
 
-def _structure(plant: ExtendedPlant, linear: StateSpaceModel) -> Callable[[Mapping[str, float]], list[Array]]:
+def _structure(
+    plant: ExtendedPlant, linear: StateSpaceModel, scaled: Mapping[str, float]
+) -> Callable[[Mapping[str, float]], list[Array]]:
     """Return a function from parameter values to E, F, G, C, D of all states, without a constant part of F."""
-    base, own, size = plant.plant, plant.model.own, len(plant.states)
-    inertia = base.matrices(_scaled_values(plant))[0]
+    base: Any = plant.plant
+    own, size = plant.model.own, len(plant.states)
+    inertia = base.matrices(scaled)[0]
     split: list[tuple[int, int, float]] = []  # joint, its relative position, the load's share
     for name, port in plant.model.ports.items():
         if name.endswith(".load"):

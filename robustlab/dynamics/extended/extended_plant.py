@@ -6,7 +6,6 @@ r"""Plants with effects: rates, equilibrium, linear model about a point, simulat
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -107,35 +106,27 @@ def extended_model(plant: AnyPlant, effects: Iterable[AttachedEffect]) -> PortMo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ExtendedEquations(SteppedPlant):
-    """Equations of a plant with effects."""
+class ExtendedPlant(SteppedPlant):
+    """A linear or nonlinear plant with effects; made by `with_effects`."""
 
     plant: AnyPlant  # without effects
     effects: tuple[AttachedEffect, ...]  # in the order of attachment
     model: PortModel = field(init=False)  # with the linear effects; of a nonlinear plant about a generic point
     laws: tuple[tuple[AttachedEffect, Law, Port], ...] = field(init=False)  # ports as of that model
+    changed: Any = field(init=False)  # a nonlinear plant with the parameters changed by effects; None: linear
 
     def __post_init__(self) -> None:
         super().__post_init__()
         model = extended_model(self.plant, self.effects)
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "laws", tuple((e, f, model.ports[f.port]) for e in self.effects for f in e.laws()))
+        changed = None if isinstance(self.plant, LinearPlant) else scaled(self.plant, self.effects)
+        object.__setattr__(self, "changed", changed)
 
-    @abstractmethod
-    def about(self, x: Array, seen: Array) -> About:
-        """Return the plant with its linear effects at a state and effective inputs."""
-
-    @abstractmethod
-    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
-        """Return states and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
-
-    def inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
-        """Return the part of A from the derivative of a nonlinear plant's inertia under forces at ports."""
-        return np.zeros((len(x), len(x)))
-
-    def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        """Return the initial state and input of the search for an equilibrium, and its conditions."""
-        return np.zeros(len(self.states) + len(self.inputs)), where
+    @property
+    def is_linear(self) -> bool:
+        """True if the plant without effects is linear."""
+        return self.changed is None
 
     def with_parameters(self, **given: Any) -> Any:
         plant = self.plant.with_parameters(**given)
@@ -214,24 +205,22 @@ class ExtendedEquations(SteppedPlant):
         dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
         if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
             k = int(np.argmax(np.abs(steps - dt)))
-            raise InputError(
-                "simulate",
+            found, hint = (
                 f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s",
-                "equal steps: delays and force laws step with the clock",
-                "resample the input on an equally spaced clock",
+                "resample the input on equal steps",
             )
+            raise InputError("simulate", found, "equal steps: delays and force laws step with the clock", hint)
         own = self.model.own
         if x0[own:].any():
             extra = ", ".join(s.name for s in self.states[own:])
-            raise InputError(
-                "simulate: x0", f"{extra} start at {x0[own:].tolist()}", "zero: states of effects start so"
-            )
+            found = f"{extra} start at {x0[own:].tolist()}"
+            raise InputError("simulate: x0", found, "zero: states of effects start so")
         return self.motion(u, dt, float(t[0]), x0[:own], step)
 
     def equilibrium(self, **where: Any) -> HoldingTrim:
         """Return the smallest equilibrium with the named inputs, outputs or states at the given values."""
         n = len(self.states)
-        s, conditions = self.search_start(where)
+        s, conditions = self._search_start(where)
         held, wanted = trim_conditions(self, conditions)
         s[list(held)] = list(held.values())
         free, rows = np.array([k for k in range(len(s)) if k not in held], dtype=np.intp), list(wanted)
@@ -247,8 +236,8 @@ class ExtendedEquations(SteppedPlant):
             scale = np.where(size > 0, size, 1.0)
             # rates per unit of each holding force; those at the edge of their band have low weight
             columns = [
-                (1.0 if low < force < high else CHEAP**-2) * (port.force / np.abs(port.force).max())
-                for _, port, force, low, high in self._holding(s[:n], s[n:])
+                (1.0 if h.lower < h.force < h.upper else CHEAP**-2) * (port.force / np.abs(port.force).max())
+                for port, h in self._holding(s[:n], s[n:])
             ]
             held = np.zeros((len(residual), len(columns)))
             held[:n] = CHEAP * (np.reshape(columns, (len(columns), n)).T / scale[:n, None])
@@ -260,26 +249,19 @@ class ExtendedEquations(SteppedPlant):
         else:
             texts = (f"{name} = {v:g}" if np.ndim(v) == 0 else name for name, v in conditions.items())
             moving = int(np.argmax(np.abs(residual[:n])))
-            raise NoTrustworthyNumber(
-                f"{self.name}: trim",
-                f"no rest with {', '.join(texts) or 'anything given'}: {self.states[moving].name} keeps changing, at"
-                f" {residual[moving]:.3g}/s",
-                None,
-                "give an input within the limits of the holding forces, or leave it free",
-            )
+            found = f"no rest with {', '.join(texts) or 'anything given'}: {self.states[moving].name} keeps changing"
+            hint = "give an input within the limits of the holding forces, or leave it free"
+            raise NoTrustworthyNumber(f"{self.name}: trim", f"{found}, at {residual[moving]:.3g}/s", None, hint)
         x, u = s[:n], s[n:]
-        holding = tuple(
-            Holding(e.effect.id, port.name, force, low, high, port.unit)
-            for e, port, force, low, high in self._holding(x, u)
-        )
+        holding = tuple(h for _, h in self._holding(x, u))
         rate = float(np.abs(residual).max(initial=0.0))
         return HoldingTrim(self.name, x, u, self.output(x, u), rate, None, Status.CONVERGED, holding=holding)
 
-    def _holding(self, x: Array, u: Array) -> list[tuple[AttachedEffect, Port, float, float, float]]:
-        """Return effect, port, force and band of possible forces of each law that is set-valued at rest there."""
+    def _holding(self, x: Array, u: Array) -> list[tuple[Port, Holding]]:
+        """Return port and holding force of each law that is set-valued at rest there."""
         _, ports, forces = self._forced(x, u)
         return [
-            (e, port, float(force), *rest_band(law, q))
+            (port, Holding(e.effect.id, port.name, float(force), *rest_band(law, q), port.unit))
             for (e, law, _), port, force in zip(self.laws, ports, forces, strict=True)
             for q, v in [_motion(port, x)]
             if v == 0.0 and is_set_valued(law, q)
@@ -329,7 +311,8 @@ class ExtendedEquations(SteppedPlant):
             a += np.outer(port.force, damping * port.velocity)
             if port.position is not None:
                 a += np.outer(port.force, stiffness * port.position)
-        a += self.inertia_jacobian(x, self.mapped_input(u), acting)
+        if not self.is_linear:
+            a += self._inertia_jacobian(x, self.mapped_input(u), acting)
         into, out = np.ones(len(self.inputs)), np.ones(len(self.outputs))
         delays, lags = {"input": [0.0] * len(into), "output": [0.0] * len(out)}, dict[int, float]()
         for e, k, level in self.signal_levels(x, u):
@@ -395,6 +378,110 @@ class ExtendedEquations(SteppedPlant):
         whole("linearise: pade", pade, 0, HIGHEST_PADE)
         return x, u, amplitude or {}
 
+    def about(self, x: Array, seen: Array) -> About:
+        """Return the plant with its linear effects at a state and effective inputs."""
+        if not self.is_linear:
+            return point_model(self.changed, self.effects, x, seen)
+        model = self.model
+        return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
+
+    def _inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
+        """Return the part of A from the derivative of a nonlinear plant's inertia under forces at ports."""
+        own, n = len(self.plant.states), len(self.states)
+        rows = load_coordinates(self.changed, self.effects)
+        at = rows @ x
+        here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
+        steps = POSITION_STEP * np.maximum(np.abs(at), 1.0)
+        shifts = np.concatenate([k * np.diag(steps) for k in (1.0, -1.0, 0.5, -0.5)])
+        local = self.changed.local_models(at + shifts, np.tile(seen, (len(shifts), 1)))
+        model = with_linear_parts(local_port_model(self.changed, local), self.effects)
+        if model.A is local.A and not any(forces.values()):
+            return np.zeros((n, n))
+        entering = model.B[..., n_u:]
+        rates = model.A @ x + entering @ here.rates[0] - (entering @ local.A) @ at
+        rates = rates + (model.B[..., :n_u] - entering @ local.B) @ seen
+        for port, force in forces.items():
+            rates = rates + force * model.ports[port].force
+        up, down, near_up, near_down = rates.reshape(4, own, n)
+        wide, narrow = ((a - b) / steps[:, None] for a, b in ((0.5 * up, 0.5 * down), (near_up, near_down)))
+        return ((4.0 * narrow - wide) / 3.0).T @ rows
+
+    def motion(
+        self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
+    ) -> tuple[Array, Array]:
+        """Return states and outputs for inputs (n, n_u) held for dt seconds each; x0: the plant's own states."""
+        if self.is_linear:
+            return self.forced(u, dt, t0, x0, step)[:2]
+        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
+        states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
+        if step is not None:
+            return states[::parts], outputs[::parts]
+        off, units = np.inf, np.array([s.unit for s in self.states])
+        for _ in range(MOST_HALVINGS):
+            coarse, parts = states, 2 * parts
+            between = np.arange(len(u) * parts) / 2.0
+            guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
+            states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
+            found = states[::parts]
+            size, off_by = (np.sqrt(np.mean(x**2, axis=0)) for x in (found, found - coarse[:: parts // 2]))
+            # RMS difference, relative to the largest state of the same unit
+            shares = [off_by[units == unit].max() / max(size[units == unit].max(), LEAST_SIZE) for unit in set(units)]
+            off = float(max(shares, default=0.0))
+            if off <= HALVED:
+                return found, outputs[::parts]
+        raise NoTrustworthyNumber(
+            f"{self.name}: simulate",
+            f"steps of {1e6 * dt / parts:.3g} us still change the motion by {off:.2g} of its size",
+            None,
+            "a step of your own, without error control: simulate(..., step=1e-4)",
+        )
+
+    def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
+        own = len(self.plant.states)
+        states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
+        outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
+        for e in self.effects:
+            if e.site.kind == "output":
+                k = [s.name for s in self.outputs].index(e.site.name)
+                outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, drive.h)[0]
+        return states, outputs
+
+    def _search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
+        """Return the initial state and input of the search for an equilibrium, and its conditions."""
+        if self.is_linear:
+            return np.zeros(len(self.states) + len(self.inputs)), where
+        signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
+        given = {name: value for name, value in where.items() if name in signals}
+        other = {name: value for name, value in where.items() if name not in signals}
+        try:
+            rest = self.changed.equilibrium(**where)
+        except (InputError, NoTrustworthyNumber):
+            if not other:
+                return np.zeros(len(self.states) + len(self.inputs)), given
+            rest = self.changed.equilibrium(**other)
+        x, names = self.whole_state(rest.x).copy(), [s.name for s in self.states]
+        joints = [p for p in self.changed.port_places if p.position]
+        x[[names.index(p.name) for p in joints]] = 0.0  # rounding would mean sliding
+        if other and rest.pose is not None:
+            given |= {p.position: x[names.index(p.position)] for p in joints}
+        return np.concatenate([x, rest.u]), given
+
+    def forced(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array, Array]:
+        """Simulate a linear plant; return states, outputs, and mean forces over the samples, (n, n_laws)."""
+        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
+        held = np.repeat(u, parts, axis=0)
+        run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
+        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
+        motion = run.run({}, [e.values for e in self.effects], x0[None], whole)
+        forces = motion.forces[0, [*range(1, len(held)), -1]].reshape(len(u), parts, -1).mean(axis=1)
+        return motion.states[0, ::parts], motion.outputs[0, ::parts], forces
+
+    def to_model(self) -> StateSpaceModel:
+        return self.linear_model()
+
+    def uncertain(self, *_: Any, **__: Any) -> NoReturn:
+        raise InputError("uncertain", f"{self.name} carries effects", "a plant without", "rl.uncertain_from takes it")
+
 
 def _motion(port: Port, x: Array) -> tuple[float, float]:
     """Return position (0 without one) and velocity at a port."""
@@ -431,96 +518,7 @@ def _with_delays(
     return StateSpaceModel(m.A, m.B, m.C, m.D, 0.0, model.inputs, model.outputs, names, point, "pade")
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ExtendedNonlinearPlant(ExtendedEquations):
-    """A nonlinear plant with effects; made by `robustlab.dynamics.extended.extended_plant.with_effects`."""
-
-    plant: NonlinearPlant
-    changed: NonlinearPlant = field(init=False)  # with the parameters changed by effects
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        object.__setattr__(self, "changed", scaled(self.plant, self.effects))
-
-    def about(self, x: Array, seen: Array) -> About:
-        return point_model(self.changed, self.effects, x, seen)
-
-    def inertia_jacobian(self, x: Array, seen: Array, forces: Mapping[str, float]) -> Array:
-        own, n = len(self.plant.states), len(self.states)
-        rows = load_coordinates(self.plant, self.effects)
-        at = rows @ x
-        here, n_u = self.changed.local_models(at[None], seen[None]), len(seen)
-        steps = POSITION_STEP * np.maximum(np.abs(at), 1.0)
-        shifts = np.concatenate([k * np.diag(steps) for k in (1.0, -1.0, 0.5, -0.5)])
-        local = self.changed.local_models(at + shifts, np.tile(seen, (len(shifts), 1)))
-        model = with_linear_parts(local_port_model(self.changed, local), self.effects)
-        if model.A is local.A and not any(forces.values()):
-            return np.zeros((n, n))
-        entering = model.B[..., n_u:]
-        rates = model.A @ x + entering @ here.rates[0] - (entering @ local.A) @ at
-        rates = rates + (model.B[..., :n_u] - entering @ local.B) @ seen
-        for port, force in forces.items():
-            rates = rates + force * model.ports[port].force
-        up, down, near_up, near_down = rates.reshape(4, own, n)
-        wide, narrow = ((a - b) / steps[:, None] for a, b in ((0.5 * up, 0.5 * down), (near_up, near_down)))
-        return ((4.0 * narrow - wide) / 3.0).T @ rows
-
-    def motion(
-        self, u: Array, dt: float, t0: float, x0: Array, step: float | None, hold: Literal["zoh", "foh"] = "zoh"
-    ) -> tuple[Array, Array]:
-        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
-        states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, None)
-        if step is not None:
-            return states[::parts], outputs[::parts]
-        off, units = np.inf, np.array([s.unit for s in self.states])
-        for _ in range(MOST_HALVINGS):
-            coarse, parts = states, 2 * parts
-            between = np.arange(len(u) * parts) / 2.0
-            guess = np.column_stack([np.interp(between, np.arange(len(coarse)), column) for column in coarse.T])
-            states, outputs = self._stepped(_drive(self, u, dt, t0, parts, hold), x0, guess)
-            found = states[::parts]
-            size, off_by = (np.sqrt(np.mean(x**2, axis=0)) for x in (found, found - coarse[:: parts // 2]))
-            # RMS difference, relative to the largest state of the same unit
-            shares = [off_by[units == unit].max() / max(size[units == unit].max(), LEAST_SIZE) for unit in set(units)]
-            off = float(max(shares, default=0.0))
-            if off <= HALVED:
-                return found, outputs[::parts]
-        raise NoTrustworthyNumber(
-            f"{self.name}: simulate",
-            f"steps of {1e6 * dt / parts:.3g} us still change the motion by {off:.2g} of its size",
-            None,
-            "a step of your own, without error control: simulate(..., step=1e-4)",
-        )
-
-    def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
-        own = len(self.plant.states)
-        states = march(self.changed, self.effects, drive, self.whole_state(x0), guess)
-        outputs = self.changed.outputs_along(states[:, :own], drive.mean - drive.rise).copy()
-        for e in self.effects:
-            if e.site.kind == "output":
-                k = [s.name for s in self.outputs].index(e.site.name)
-                outputs[:, k] = e.effect.output(outputs[None, :, k], e.values, drive.h)[0]
-        return states, outputs
-
-    def search_start(self, where: Mapping[str, Any]) -> tuple[Array, Mapping[str, Any]]:
-        signals = {s.name for s in (*self.states, *self.inputs, *self.outputs)}
-        given = {name: value for name, value in where.items() if name in signals}
-        other = {name: value for name, value in where.items() if name not in signals}
-        try:
-            rest = self.changed.equilibrium(**where)
-        except (InputError, NoTrustworthyNumber):
-            if not other:
-                return np.zeros(len(self.states) + len(self.inputs)), given
-            rest = self.changed.equilibrium(**other)
-        x, names = self.whole_state(rest.x).copy(), [s.name for s in self.states]
-        joints = [p for p in self.plant.port_places if p.position]
-        x[[names.index(p.name) for p in joints]] = 0.0  # rounding would mean sliding
-        if other and rest.pose is not None:
-            given |= {p.position: x[names.index(p.position)] for p in joints}
-        return np.concatenate([x, rest.u]), given
-
-
-def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
+def _drive(plant: ExtendedPlant, u: Array, dt: float, t0: float, parts: int, hold: str) -> Drive:
     h = dt / parts
     if hold == "foh":  # of a loop, whose effects are not on its inputs
         between = np.arange(len(u) * parts + 1) / parts
@@ -531,36 +529,6 @@ def _drive(plant: ExtendedNonlinearPlant, u: Array, dt: float, t0: float, parts:
     motion = np.zeros((2, len(plant.plant.states)))  # not simulated
     simulator = Simulator(plant.plant, pairs, held, h, sub=1, motion=motion)
     return Drive(*simulator.seen_input([e.values for e in plant.effects]), h, t0)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class ExtendedPlant(ExtendedEquations):
-    """A linear plant with effects; made by `with_effects`."""
-
-    plant: LinearPlant
-
-    def about(self, x: Array, seen: Array) -> About:
-        model = self.model
-        return About(model, model.A @ x + model.B @ seen, model.C @ x + model.D @ seen)
-
-    def motion(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array]:
-        return self.forced(u, dt, t0, x0, step)[:2]
-
-    def forced(self, u: Array, dt: float, t0: float, x0: Array, step: float | None) -> tuple[Array, Array, Array]:
-        """Return states, outputs, and the mean of each law's force over the samples, (n, n_laws)."""
-        parts = max(1, int(np.ceil(dt / (step or NOMINAL_STEP) - 1e-9)))
-        held = np.repeat(u, parts, axis=0)
-        run = Simulator(self.plant, [(e.effect, e.site) for e in self.effects], held, dt / parts, t0)
-        whole = Windows(np.zeros(1, dtype=np.int64), len(held))
-        motion = run.run({}, [e.values for e in self.effects], x0[None], whole)
-        forces = motion.forces[0, [*range(1, len(held)), -1]].reshape(len(u), parts, -1).mean(axis=1)
-        return motion.states[0, ::parts], motion.outputs[0, ::parts], forces
-
-    def to_model(self) -> StateSpaceModel:
-        return self.linear_model()
-
-    def uncertain(self, *_: Any, **__: Any) -> NoReturn:
-        raise InputError("uncertain", f"{self.name} carries effects", "a plant without", "rl.uncertain_from takes it")
 
 
 @error_context("with_effects")
@@ -581,7 +549,7 @@ def with_effects(
 
     Returns
     -------
-    ExtendedPlant or ExtendedNonlinearPlant
+    ExtendedPlant
         A plant for `simulate`, `trim`, `linearise` and `save`.
 
     Raises
@@ -598,7 +566,7 @@ def with_effects(
     array([0., 0., 0.])
     """
     base: AnyPlant
-    if isinstance(plant, ExtendedEquations):
+    if isinstance(plant, ExtendedPlant):
         base, attached = plant.plant, list(plant.effects)
     else:
         base, attached = plant if isinstance(plant, NonlinearPlant) else linear_plant_of(plant, "with_effects"), []
@@ -624,8 +592,6 @@ def with_effects(
                 name, of = f"{port.name}.rate", port.speed_unit
         states.append(Signal(name, of))
     signals = base.inputs, base.outputs, tuple(states)
-    if isinstance(base, NonlinearPlant):
-        return ExtendedNonlinearPlant(base.name, base.parameters, *signals, base, tuple(attached))
     return ExtendedPlant(base.name, base.parameters, *signals, base, tuple(attached))
 
 

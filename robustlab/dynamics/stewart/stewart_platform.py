@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.display import Displayable
 from robustlab.dynamics.descriptor_family import TrimmedDescriptor
-from robustlab.dynamics.integrator.compilation import compiled
+from robustlab.dynamics.integrator import compiled
 from robustlab.dynamics.parameters import Parameter, overridden, published
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.rest import descriptor

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.integrator.compilation import compiled
+from robustlab.dynamics.integrator import compiled
 from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.rest import PASSES, RANK, STILL, evaluated, newton, trim_conditions
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
