@@ -1,4 +1,4 @@
-"""A browser of the system and what every page is looked at for: for `check_site` and `check_report`."""
+"""Open pages in an installed browser and check layout and contrast, for `check_site` and `check_report`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 VIEWS = [(width, scheme) for width in (390, 1280) for scheme in ("light", "dark")]
 LEAST_CONTRAST = 4.5  # of text, WCAG 2 level AA
 
-# How text stands out from its ground (WCAG 2): the least of all texts in sight.
+# Contrast of text and background (WCAG 2): the smallest of all visible texts.
 CONTRAST = """scope => {
   const light = c => { const v = c.map(x => (x /= 255) <= 0.03928 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
                        return 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]; };
@@ -30,7 +30,7 @@ CONTRAST = """scope => {
   return least;
 }"""
 
-# What reaches beyond the right edge of the page and does not scroll in a box of its own.
+# Elements beyond the right edge of the page that do not scroll in a box.
 WIDE = """scope => document.documentElement.scrollWidth > innerWidth
   ? [...document.querySelectorAll(scope + ' *')].filter(e => e.getBoundingClientRect().right > innerWidth + 1)
       .slice(0, 1).map(e => e.tagName + '.' + e.className + ': ' + e.textContent.trim().slice(0, 40))
@@ -39,7 +39,7 @@ WIDE = """scope => document.documentElement.scrollWidth > innerWidth
 
 
 def missing() -> str:
-    """Why no page can be looked at; empty where it can."""
+    """Return why no browser can be used; empty if one can."""
     try:
         import playwright.sync_api  # noqa: F401 - only whether it is there
     except ImportError:
@@ -53,7 +53,7 @@ def _program() -> str | None:
 
 @contextmanager
 def opened() -> Iterator[Any]:
-    """The browser, closed afterwards."""
+    """Open the browser and close it afterwards."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -65,22 +65,22 @@ def opened() -> Iterator[Any]:
 
 @contextmanager
 def page_in(browser: Any, home: str, width: int = 1280, scheme: str = "light", **options: Any) -> Iterator[Any]:
-    """An empty page of that width, and the list of what it says on the console or asks for outside ``home``."""
+    """Open an empty page; yield it and the list of its console messages and requests outside ``home``."""
     context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, **options)
     page = context.new_page()
-    said: list[str] = []
-    page.on("console", lambda m: said.append(m.text) if m.type in ("error", "warning") else None)
-    page.on("pageerror", lambda error: said.append(str(error)))
+    messages: list[str] = []
+    page.on("console", lambda m: messages.append(m.text) if m.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: messages.append(str(error)))
     page.on(
         "request",
-        lambda r: said.append(f"asks for {r.url[:80]}") if not r.url.startswith((home, "data:", "blob:")) else None,
+        lambda r: messages.append(f"requests {r.url[:80]}") if not r.url.startswith((home, "data:", "blob:")) else None,
     )
-    yield page, said
+    yield page, messages
     context.close()
 
 
 def faults_in_sight(page: Any, scope: str) -> list[str]:
-    """What scrolls sideways, and text that hardly stands out, among the elements within ``scope``."""
+    """Return elements within ``scope`` that scroll sideways and text with low contrast."""
     found = []
     if wide := page.evaluate(WIDE, scope):
         found.append(f"scrolls sideways, {wide}")

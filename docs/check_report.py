@@ -1,8 +1,8 @@
-"""Look at reports of runs in a real browser: ``python docs/check_report.py report.html ... [--pictures FOLDER]``.
+"""Check reports of runs in a browser: ``python docs/check_report.py report.html ... [--pictures FOLDER]``.
 
-Each page from its file, as its reader opens it: at 390 px and 1280 px, light and dark; with every figure opened, zoomed
-and read; without scripts; and on paper. Ends in 1 with a line for each fault, and in 5 where there is no browser or no
-Playwright: then nothing was looked at, and that is said.
+Each page is opened from its file: at 390 px and 1280 px, light and dark; with every figure opened and zoomed; without
+scripts; and printed. Exit code 1 with a line for each fault, 5 without a browser or Playwright: then nothing was
+checked.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ MARKED = """() => document.querySelectorAll('figure').forEach((figure, k) => {
 
 
 class Tags(HTMLParser):
-    """The tags as they are written, the names that come twice, and what is closed out of turn."""
+    """Collect the tags of a page, duplicate names and tags closed in the wrong order."""
 
     VOID = ("meta", "br", "img")
 
@@ -57,7 +57,7 @@ class Tags(HTMLParser):
         self.faults += [f"<{tag}> is never closed" for tag in self._open]
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep the tag; note a name that was there before."""
+        """Store the tag; report a duplicate name."""
         self.tags.append(tag)
         if tag not in self.VOID:
             self._open.append(tag)
@@ -67,26 +67,26 @@ class Tags(HTMLParser):
         self._names.add(name or "")
 
     def handle_endtag(self, tag: str) -> None:
-        """Note what is closed and is not the last that was opened."""
+        """Report a tag that is closed but was not the last one opened."""
         if not self._open or self._open.pop() != tag:
             self.faults.append(f"</{tag}> at {self.getpos()} closes something else")
 
 
 def faults_of(report: Path, browser: Any, pictures: Path | None) -> list[str]:
-    """What a reader of one report would stumble over."""
+    """Return the faults of one report."""
     address, text = report.resolve().as_uri(), report.read_text(encoding="utf-8")
     found = Tags(text).faults
     if report.stat().st_size > LARGEST:
         found.append(f"{report.stat().st_size} bytes, {LARGEST} are allowed")
     for width, scheme in VIEWS:
-        with page_in(browser, address, width, scheme) as (page, said):
+        with page_in(browser, address, width, scheme) as (page, messages):
             page.goto(address)
             where = f"at {width} px, {scheme}: "
             page.screenshot(path=_named(pictures, report, f"{width}-{scheme}"))
             faults = faults_in_sight(page, "body")
             faults += [f"cannot be read: {cell}" for cell in page.evaluate(UNREADABLE, SMALLEST_TEXT)]
             faults += _brightness_of_pictures(page, scheme)
-            faults += faults_in_sight(page, "body") + said
+            faults += faults_in_sight(page, "body") + messages
             found += [where + fault for fault in faults]
     return found + _without_scripts(browser, address, text) + _printed(browser, address, report, pictures)
 
@@ -103,7 +103,7 @@ def _brightness(picture: bytes) -> float:
 
 
 def _brightness_of_pictures(page: Any, scheme: str) -> list[str]:
-    """Pictures that are bright on a dark page, or dark on a bright one."""
+    """Return pictures that are bright on a dark page, or dark on a bright one."""
     found = []
     for figure in page.query_selector_all("figure"):
         shown = _brightness(figure.query_selector("img").screenshot())
@@ -113,10 +113,10 @@ def _brightness_of_pictures(page: Any, scheme: str) -> list[str]:
 
 
 def _without_scripts(browser: Any, address: str, text: str) -> list[str]:
-    """The pictures are there, the browser reads the tags as they are written, and headings and captions are words."""
-    with page_in(browser, address, java_script_enabled=False) as (page, said):
+    """Check that pictures exist, tags are well formed, and headings and captions are words."""
+    with page_in(browser, address, java_script_enabled=False) as (page, messages):
         page.goto(address)
-        found = list(said)
+        found = list(messages)
         if page.query_selector_all("button"):
             found.append("there are buttons that do nothing")
         lacking = page.eval_on_selector_all(
@@ -135,7 +135,7 @@ def _without_scripts(browser: Any, address: str, text: str) -> list[str]:
 
 
 def _printed(browser: Any, address: str, report: Path, pictures: Path | None) -> list[str]:
-    """On paper the first page begins with the title, no page is empty, and no figure is cut."""
+    """Check the printed report: the title comes first, no page is empty, no figure is cut."""
     from pypdf import PdfReader
 
     with page_in(browser, address) as (page, _):
@@ -155,7 +155,7 @@ def _printed(browser: Any, address: str, report: Path, pictures: Path | None) ->
 
 
 def main() -> int:
-    """Check the reports; the exit code."""
+    """Check the reports and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("reports", nargs="+", type=Path)
     parser.add_argument("--pictures", type=Path, help="folder for screenshots and the printed pages")

@@ -1,9 +1,8 @@
-"""Look at the built site in a real browser: ``python docs/check_site.py [out/docs] [--pictures FOLDER]``.
+"""Check the built site in a browser: ``python docs/check_site.py [out/docs] [--pictures FOLDER]``.
 
-Every page at 390 px and at 1280 px, light and dark: no error on the console, nothing loaded from elsewhere, nothing
-that scrolls sideways, text that stands out from its ground; then the search. Links are followed without the browser,
-anchors too. Ends in 1 with a line for each fault, and in 5 where there is no browser or no Playwright: then only the
-links were looked at, and that is said.
+Every page at 390 px and 1280 px, light and dark: no console error, no external request, no sideways scrolling, enough
+contrast; then the search. Links and anchors are checked without the browser. Exit code 1 with a line for each fault, 5
+without a browser or Playwright: then only the links were checked.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ PICTURED = (
 
 
 class Page(HTMLParser):
-    """The anchors and links of a page."""
+    """Anchors and links of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -40,7 +39,7 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Collect what can be jumped to, and what is jumped to."""
+        """Collect anchors and link targets."""
         for name, value in attrs:
             if name == "id" and value:
                 self.anchors.add(value)
@@ -49,7 +48,7 @@ class Page(HTMLParser):
 
 
 def dead_links(site: Path) -> list[str]:
-    """Links within the site that lead nowhere; ``page -> target``."""
+    """Return broken links within the site as ``page -> target``."""
     pages = {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     dead = []
     for path, page in pages.items():
@@ -69,14 +68,14 @@ def dead_links(site: Path) -> list[str]:
 
 
 class Quiet(SimpleHTTPRequestHandler):
-    """Serves files without a line for each."""
+    """Serve files without logging."""
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Do not log."""
 
 
 def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
-    """What a reader would stumble over."""
+    """Return the faults of the site."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(site)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     root = f"http://127.0.0.1:{server.server_port}"
@@ -84,12 +83,12 @@ def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
     found: list[str] = []
     with opened() as browser:
         for width, scheme in VIEWS:
-            with page_in(browser, root, width, scheme) as (page, said):
+            with page_in(browser, root, width, scheme) as (page, messages):
                 for name in names:
-                    said.clear()
+                    messages.clear()
                     page.goto(f"{root}/{name}")
                     where = f"{name} at {width} px, {scheme}"
-                    found += [f"{where}: {text}" for text in [*said, *faults_in_sight(page, "article")]]
+                    found += [f"{where}: {text}" for text in [*messages, *faults_in_sight(page, "article")]]
                     if pictures and name.removesuffix(".html") in PICTURED:
                         page.screenshot(
                             path=pictures / f"{name.removesuffix('.html').replace('/', '-')}-{width}-{scheme}.png",
@@ -108,7 +107,7 @@ def faults_in_browser(site: Path, pictures: Path | None) -> list[str]:
 
 
 def main() -> int:
-    """Check the site; the exit code."""
+    """Check the site and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("site", nargs="?", default="out/docs", type=Path)
     parser.add_argument("--pictures", type=Path, help="folder for screenshots of some pages")

@@ -1,4 +1,4 @@
-"""Draws images/flagship.png from a run (`robustlab run flagship --out out/flagship`) that is named, or lies there."""
+"""Draw images/flagship.png from a run folder, by default that of `robustlab run flagship --out out/flagship`."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""The keys of steps and tables in words, read from the JSON Schema, for the reference."""
+"""Describe the keys of steps and tables of the JSON Schema, for the reference."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ class Key:
     meaning: str
 
     def needed_or_default(self) -> list[str]:
-        """Whether it has to be given, or what stands where it is not, in words; empty where that says nothing."""
+        """Return "required", the default in words, or an empty text."""
         if self.needed:
-            return ["**needed**"]
+            return ["**required**"]
         shown = self.default not in (None, "", [], {})
         return [f"default ``{json.dumps(self.default, ensure_ascii=False)}``"] if shown else []
 
 
 def keys_of(part: Mapping[str, Any], parts: Mapping[str, Any]) -> list[Key]:
-    """The keys of a table of the schema, without the word that says what a step does."""
+    """Return the keys of a table of the schema, without ``do``."""
     needed = part.get("required", [])
     return [
         Key(name, _takes(key, parts), name in needed, key.get("default"), _meaning(key))
@@ -69,5 +69,5 @@ def _count(key: Mapping[str, Any]) -> str:
 
 def _limits(key: Mapping[str, Any]) -> str:
     words = {"exclusiveMinimum": "above", "minimum": "from", "maximum": "to", "exclusiveMaximum": "below"}
-    said = [f"{word} {key[name]:g}" for name, word in words.items() if name in key]
-    return " " + " ".join(said) if said else ""
+    limits = [f"{word} {key[name]:g}" for name, word in words.items() if name in key]
+    return " " + " ".join(limits) if limits else ""

@@ -29,7 +29,7 @@ def pages() -> dict[str, str]:
 
 
 def write(folder: Path) -> None:
-    """Bring ``folder`` to what `pages` says; files that did not change keep their time, so that builds stay short."""
+    """Write `pages` to ``folder``; unchanged files keep their time stamp, so builds stay short."""
     wanted = {folder / name: text for name, text in pages().items()}
     for path in folder.rglob("*.rst"):
         if path not in wanted:
@@ -44,7 +44,7 @@ def write(folder: Path) -> None:
 
 
 def plain(text: str) -> str:
-    """Text without markup as reStructuredText; what stands in `backticks` becomes code."""
+    """Return plain text as reStructuredText, with `backticks` as code."""
     parts = re.split(r"``([^`]+)``|`([^`]+)`", text)
     words = [re.sub(r"([\\*`_|<>])", r"\\\1", part or "") for part in parts[::3]]
     codes = [f"\\ ``{one or other}``\\ " for one, other in zip(parts[1::3], parts[2::3], strict=True)]
