@@ -218,11 +218,11 @@ def watch(
         hint = "one record is cut into pieces by every=SECONDS"
         raise InputError("watch", f"{0 if watched is None else 1} piece", "at least two", hint)
     pieces, used = tuple(watched.pieces), watched.windows[0] / watched.windows[1]
-    since, found = [np.nan] * 3, None
+    since, found = (np.nan, np.nan, np.nan), None
     if onsets is not None:
         began, lower, upper = onset(onsets)
         # A change may begin too late within a piece to be visible there.
-        since = [pieces[k].start for k in (began, max(lower - 1, 0), upper)]
+        since = pieces[began].start, pieces[max(lower - 1, 0)].start, pieces[upper].start
         with suppress(InputError, NoTrustworthyNumber):  # too poor
             last = watched.records[max(began, len(watched.records) - MOST_DISCOVERED) :]
             found = discover(plant, last, exclude=left_out)

@@ -161,8 +161,8 @@ class Ensemble:
         return len(self.A)
 
     def part(self, which: slice | NDArray[np.intp]) -> Ensemble:
-        matrices = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
-        return Ensemble(*matrices, self.dt, self.ill_posed[which], self.scale)
+        a, b, c, d = (matrix[which] for matrix in (self.A, self.B, self.C, self.D))
+        return Ensemble(a, b, c, d, self.dt, self.ill_posed[which], self.scale)
 
     def spectral_abscissa(self) -> Array:
         """Return `StateSpaceModel.spectral_abscissa` of every member, (k,); ``inf`` where ill-posed."""

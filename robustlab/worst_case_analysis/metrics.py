@@ -241,8 +241,8 @@ class UserMetric(Metric):
         value = np.full(len(ensemble), np.inf)
         nominal = self.uncertain.nominal
         for k in np.flatnonzero(~ensemble.ill_posed):
-            matrices = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
-            model = StateSpaceModel(*matrices, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
+            a, b, c, d = (matrix[k] for matrix in (ensemble.A, ensemble.B, ensemble.C, ensemble.D))
+            model = StateSpaceModel(a, b, c, d, ensemble.dt, nominal.inputs, nominal.outputs, nominal.states)
             value[k] = self.of_model(model).value
         return value
 

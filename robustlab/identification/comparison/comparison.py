@@ -195,6 +195,7 @@ class Comparison(Tabular, Evidence):
         size = f"{number(std, g.unit, 3)}; the windowed error is {g.windowed_rms / std:.3g} times that" if std else ""
         if e is None:
             return size
+        assert e.p_value is not None
         verdict = "the model leaves something to explain" if e.p_value < 0.01 else "nothing is left to explain"
         return f"{size}; {verdict} (F {e.F:.4g}, p {_p(e.p_value)})"
 
@@ -445,11 +446,12 @@ def _warnings(
     matching: Matching, initial: InitialState, motions: dict[str, Motion], checked: Linearisation | None, run: FreeRun
 ) -> list[str]:
     record, model, texts = matching.record, matching.model, []
-    along, n_x = isinstance(model, MotionResponse), len(model.state_names)
+    n_x = len(model.state_names)
     if initial.rank < n_x:
+        along = isinstance(model, MotionResponse)
         rest = "the others are those of the smoothed motion" if along else "the others are the smallest that fit"
         texts.append(f"the recorded outputs determine {initial.rank} of {n_x} states at the start; {rest}")
-    if along:
+    if isinstance(model, MotionResponse):
         return [*texts, *(checked.warnings() if checked else []), *unstable(model, run)]
     slowest = slowest_time_constant(model.response.model)
     if record.duration < slowest:

@@ -166,13 +166,15 @@ def cover(
         raise NoTrustworthyNumber(f"cover {record.name}", "a member exceeds double precision", None, "a shorter record")
     signals: dict[str, SignalCoverage] = {}
     for k, (name, unit) in enumerate(response.outputs):
-        series = record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
-        signals[name] = _coverage(name, unit, record.t, *series, allowed[name])
+        measured, nominal, members = series = (
+            record.outputs[name], found.nominal[:, k] + offset[k], found.y[:, :, k] + offset[k]
+        )  # fmt: skip
+        signals[name] = _coverage(name, unit, record.t, measured, nominal, members, allowed[name])
         if lag:
             seconds, middle = lag * record.dt, 0.5 * (record.t[lag:] + record.t[:-lag])
-            rates = ((y[..., lag:] - y[..., :-lag]) / seconds for y in series)
+            measured, nominal, members = ((y[..., lag:] - y[..., :-lag]) / seconds for y in series)
             label, slack = f"{name}-rate", 2 * allowed[name] / seconds
-            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, *rates, slack)
+            signals[label] = _coverage(label, f"{unit}/s" if unit else "", middle, measured, nominal, members, slack)
     return EnvelopeCoverage(Status.CONVERGED, record.name, signals, len(drawn), drawn.seed)
 
 

@@ -292,7 +292,12 @@ class Factors(NamedTuple):
 
     def evidence(self, i: int) -> tuple[str, dict[str, object]]:
         """Return the text and the figures of the factor of input i."""
-        data = {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
+        data: dict[str, object] = {
+            "test": "response in windows",
+            "found": float(self.s[i]),
+            "r2": self.share,
+            "window": self.window,
+        }
         return f"its response is {self.s[i]:.3g} times the model's, R² {self.share:.3g}", data
 
 

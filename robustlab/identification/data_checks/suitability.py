@@ -147,7 +147,7 @@ def _clipped(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
         if count > CLIPPED_SHARE * record.n:
             text = f"clipped: {count} of {record.n} samples are at the end of its range, reached at full slope"
             hint = "choose a larger range of the sensor, or cut these stretches out: record.between(start, stop)"
-            evidence = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
+            evidence: dict[str, object] = {"samples": count, "runs": runs, "range": [float(y.min()), float(y.max())]}
             found.append(Finding("clipped", name, text, "a sensor within its range", hint, False, evidence))
     return found
 

@@ -183,7 +183,7 @@ def prepare(
     measured = np.isfinite(y[:, own])
     known, starts = measured.all(axis=1), list[int]()
     # Remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
-    for a, b in _between_gaps(np.asarray(~measured.any(axis=1))):
+    for a, b in _between_gaps(~np.asarray(measured.any(axis=1), dtype=bool)):
         starts += range(a + min((b - a) % length, length // 20), b - length + 1, length)
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < fewest:

@@ -304,7 +304,7 @@ class Found:
     values: Mapping[str, float] = field(default_factory=dict)  # of the constants
     problem: Any = None  # of the dynamic blocks, with their signals and the jumps of the states:
     w: Any = field(default_factory=lambda: np.zeros((0, 0)))
-    z: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    z: Any = field(default_factory=lambda: np.zeros((0, 0)))
     states: Mapping[int, Array] = field(default_factory=dict)
 
 

@@ -109,10 +109,8 @@ def _rightmost(model: StateSpaceModel, delta: ComplexArray) -> ComplexArray:
         return np.full(len(delta), -np.inf, dtype=complex)
     finite = np.isfinite(a).all(axis=(1, 2))
     result = np.full(len(delta), np.inf, dtype=complex)
-    if not a[finite].imag.any():
-        a = a.real
     if finite.any():
-        poles = np.linalg.eigvals(a[finite])
+        poles = np.linalg.eigvals(a[finite] if a[finite].imag.any() else a[finite].real)
         result[finite] = poles[np.arange(len(poles)), poles.real.argmax(axis=1)]
     return result
 
