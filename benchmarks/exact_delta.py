@@ -51,7 +51,7 @@ def count(parts: Sequence[Part]) -> int:
 
 
 def block_norm(parts: Sequence[Part], delta: Matrix) -> float:
-    """Largest norm of a block, a negative real number measured by what lies below its nominal value."""
+    """Return the largest block norm; negative real numbers are divided by the range below nominal."""
     sizes = []
     for p, (w, z) in zip(parts, slices(parts), strict=True):
         block = delta[w, z]

@@ -37,7 +37,7 @@ def spring_graph(n: int, springs: int, repeats: int, seed: int, damping: float =
 def _pushed_masses(
     elongation: np.ndarray, repeats: int, rng: np.random.Generator, damping: float, spread: float
 ) -> Model:
-    """Masses on springs, which each row of ``elongation`` (springs, masses) tells, under the loop of `chain`."""
+    """Return masses on springs, given by the rows of ``elongation`` (springs, masses), in the loop of `chain`."""
     springs, n = elongation.shape
     eye = np.eye(n)
     k, m = 10 ** rng.uniform(-0.5, 0.5, springs), 10 ** rng.uniform(-0.3, 0.3, n)

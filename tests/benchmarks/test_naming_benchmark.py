@@ -35,7 +35,7 @@ def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path
     assert b"truth" not in (folder / "model.h5").read_bytes()
 
 
-def said(verdict, *kinds, possible=(), complete=True, **more):
+def answer_of(verdict, *kinds, possible=(), complete=True, **more):
     return {
         "verdict": verdict, "named": [{"kind": k} for k in kinds], "possible": list(possible), "complete": complete
     } | more  # fmt: skip
@@ -50,22 +50,22 @@ OUTSIDE = {"condition": "outside", "family": "motor", "kinds": [], "effects": ["
 @pytest.mark.parametrize(
     ("answer", "truth", "right"),
     [
-        (said("named", "dry-friction"), DRY, True),
-        (said("named", "resisting-force"), DRY, True),  # a level above, below the root
-        (said("named", "force"), DRY, False),  # says nothing
-        (said("named", "speed-friction"), DRY, False),
-        (said("named", "dry-friction", "load"), DRY, False),  # a third one
-        (said("open", possible=["dry-friction"]), DRY, False),
-        (said("named", "load", "dry-friction"), PAIR, True),
-        (said("named", "dry-friction", "dry-friction"), PAIR, False),
-        (said("named", "dry-friction"), PAIR, False),
-        (said("nothing"), NOTHING, True),
-        (said("named", "load"), NOTHING, False),
-        (said("unknown"), NOTHING, False),
-        (said("unknown"), OUTSIDE, True),
-        (said("named", "load", complete=False), OUTSIDE, True),
-        (said("named", "load"), OUTSIDE, False),
-        (said("nothing"), OUTSIDE, False),
+        (answer_of("named", "dry-friction"), DRY, True),
+        (answer_of("named", "resisting-force"), DRY, True),  # a level above, below the root
+        (answer_of("named", "force"), DRY, False),  # too general
+        (answer_of("named", "speed-friction"), DRY, False),
+        (answer_of("named", "dry-friction", "load"), DRY, False),  # a third one
+        (answer_of("open", possible=["dry-friction"]), DRY, False),
+        (answer_of("named", "load", "dry-friction"), PAIR, True),
+        (answer_of("named", "dry-friction", "dry-friction"), PAIR, False),
+        (answer_of("named", "dry-friction"), PAIR, False),
+        (answer_of("nothing"), NOTHING, True),
+        (answer_of("named", "load"), NOTHING, False),
+        (answer_of("unknown"), NOTHING, False),
+        (answer_of("unknown"), OUTSIDE, True),
+        (answer_of("named", "load", complete=False), OUTSIDE, True),
+        (answer_of("named", "load"), OUTSIDE, False),
+        (answer_of("nothing"), OUTSIDE, False),
     ],
 )
 def test_what_is_right(answer, truth, right):
@@ -75,19 +75,22 @@ def test_what_is_right(answer, truth, right):
 def test_the_table_counts_what_it_says():
     truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
     answers = {
-        "1": {**said("named", "dry-friction", seconds=2.0), "named": [{"kind": "dry-friction", "probability": 0.99}]},
-        "2": said("named", "load", seconds=4.0),
-        "3": said("open", possible=["load", "dry-friction"], seconds=6.0),
-        "5": said("named", "load"),
-        "6": said("named", "load"),
+        "1": {
+            **answer_of("named", "dry-friction", seconds=2.0),
+            "named": [{"kind": "dry-friction", "probability": 0.99}],
+        },
+        "2": answer_of("named", "load", seconds=4.0),
+        "3": answer_of("open", possible=["load", "dry-friction"], seconds=6.0),
+        "5": answer_of("named", "load"),
+        "6": answer_of("named", "load"),
     }  # the pair has no answer
     rows = dict(score(truth, answers, {"2": 1.5, "3": 12.0}))
     assert rows["singles: right"] == "1/3"
-    assert rows["singles that the records can tell: right"] == "1/2"
+    assert rows["singles that the records distinguish: right"] == "1/2"
     assert rows["singles: right, or open with the truth in the answer"] == "2/3"
     assert rows["singles: sure and wrong"] == "1/3"
     assert rows["pairs: both, and no third"] == "0/1"
-    assert rows["nothing missing: said so"] == "0/1"
+    assert rows["nothing missing: reported"] == "0/1"
     assert rows["nothing missing: a name all the same"] == "1/1"
     assert rows["outside the catalogue: unknown, or something remains"] == "0/1"
     assert rows["kinds stated at 0.95 to 1, on average: in the machine"] == "0.99: 1/1"

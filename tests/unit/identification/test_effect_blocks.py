@@ -95,7 +95,7 @@ def test_every_delay_lies_inside_the_weight(spread, pade):
         k = 20000
         member = made.response(omega[k : k + 1], {"delay": [[error[k] / weight[k]]]})[0, 0, 0]
         assert member == pytest.approx(np.exp(-1j * omega[k] * d), rel=1e-9)
-    # and is no larger than it needs to be: the error falls again and again, the weight lies above its hull
+    # and is not much larger than necessary: the error decreases repeatedly, the weight bounds its running maximum
     hull = np.maximum.accumulate(largest)
     assert (np.abs(weight) / hull)[hull > 0.1].max() < 1.75
 

@@ -30,7 +30,7 @@ def test_ljung_box_follows_its_formula():
 
 def test_rejection_rate_on_white_noise_is_the_level():
     rejected = sum(whiteness(np.random.default_rng(s).standard_normal(400), 20).p_value < 0.05 for s in range(400))
-    assert 8 <= rejected <= 34  # binomial(400, 0.05) lies within with 99.8 %
+    assert 8 <= rejected <= 34  # binomial(400, 0.05): within these with 99.8 %
 
 
 def test_coloured_noise_is_always_rejected_and_its_predictable_share_is_known():

@@ -79,9 +79,9 @@ def simulated(model, gain, limits, y):
     low, high = np.transpose(limits)
     x, out, states = np.zeros(model.n_states), [], [np.zeros(model.n_states)]
     for row in y:
-        asked = model.C @ x + model.D @ row
-        held = np.minimum(np.maximum(asked, low), high)
-        x = model.A @ x + model.B @ row + gain @ (held - asked)
+        demand = model.C @ x + model.D @ row
+        held = np.minimum(np.maximum(demand, low), high)
+        x = model.A @ x + model.B @ row + gain @ (held - demand)
         out.append(held)
         states.append(x)
     return np.array(out), np.array(states)
