@@ -80,7 +80,7 @@ def test_parameters_are_within_the_tolerances_printed_and_assumed():
 
 @pytest.mark.slow  # 30 s
 def test_its_hidden_effects_are_named():
-    """Parameters of its script: a driver with a drop of 0.6 V, and dry friction of 6 mN m with presliding, still there."""
+    """Parameters of its script: a driver drop of 0.6 V, and dry friction of 6 mN m with presliding."""
     record = rl.Record.read(FOLDER / "motor_record.csv", inputs=["u"], outputs=["phi", "i"])
     found = rl.discover(rl.plant("dc-motor"), record)
     assert (found.verdict, found.complete) == ("named", False)
