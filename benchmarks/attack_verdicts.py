@@ -223,7 +223,7 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
             yield "FALSE: D, G do not have the structure"
         elif not deltas.proves(M, claim["D"], claim["D_z"], claim["G"], upper):
             yield f"FALSE: D, G do not prove the upper bound {upper:.9g}"
-    # M of size one, by a power of two, so that no radius overflows. An upper bound of zero says that nothing is
+    # M of size one, by a power of two, so that no radius overflows. An upper bound of zero states that nothing is
     # singular: a ball as large as sensible is tried.
     exponent = int(np.frexp(np.abs(M).max())[1])
     unit = np.ldexp(M.real, -exponent) + 1j * np.ldexp(M.imag, -exponent)

@@ -52,7 +52,7 @@ def one_number(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant 
 
 
 def kept_structure(name: str, at: tuple[Any, ...], X: Any, result: Numbers) -> None:
-    """The same change where the structure asks for it: P symmetric, D and G Hermitian, D_z like D_w."""
+    """Apply the same change where the structure requires it: P symmetric, D and G Hermitian, D_z like D_w."""
     if name in ("P", "P_low"):
         X[(*at[:-2], at[-1], at[-2])] = X[at]
     elif name in ("D_w", "D_z", "G") and "blocks" in result:

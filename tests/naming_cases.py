@@ -1,4 +1,4 @@
-"""Small records of an event-driven integrator, and what `discover` says of them with few effects."""
+"""Small records of an event-driven integrator, and the result of `discover` with few effects."""
 
 from functools import cache
 

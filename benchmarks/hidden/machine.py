@@ -14,7 +14,7 @@ Dry friction is one LuGre bristle whose level g depends on speed, position, trav
 
 contacts are of Hunt and Crossley, the winding heats by two thermal masses,
 an actuator's lag is advanced exactly and acts with its mean over the step. Steps are classical Runge-Kutta of
-fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush asks for it; the bristle
+fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush requires it; the bristle
 alone, which may be as stiff as it likes, is advanced by the exact solution of its equation at the stage's speed. Steps
 end exactly where the delayed input jumps and where the delayed sensor samples, so that delays are exact.
 

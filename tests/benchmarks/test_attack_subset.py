@@ -246,8 +246,8 @@ def test_the_judge_catches_what_is_missing():
     found = rl.zeros(rl.StateSpaceModel(*parts))
     rng = np.random.default_rng(0)
     assert attack_zeros.zeros_fault(parts, found, rng) == ""
-    for lie in (replace(found, values=found.values[:0]), replace(found, values=found.values * (1 + 1e-8))):
-        assert attack_zeros.zeros_fault(parts, lie, rng)
+    for false in (replace(found, values=found.values[:0]), replace(found, values=found.values * (1 + 1e-8))):
+        assert attack_zeros.zeros_fault(parts, false, rng)
     unstable = ([[1.0]], [[1.0]], [[4.0]], [[0.0]])
     loop, margin = zeros_judge.Loop(*unstable), rl.classical_margins(rl.StateSpaceModel(*unstable)).channels["y1"]
     assert attack_zeros.crossings_fault(loop, margin) == ""

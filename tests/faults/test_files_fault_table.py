@@ -595,7 +595,7 @@ def test_matlab_files_that_grow_are_refused(what, tmp_path):
 
 def test_lengths_of_matlab_files(tmp_path):
     longer = bytearray(HEADER + zeros(4, "x"))
-    longer[-36:-32] = struct.pack("<I", 4096)  # the data say that they go on beyond their matrix
+    longer[-36:-32] = struct.pack("<I", 4096)  # the data size extends beyond its matrix
     (tmp_path / "p.mat").write_bytes(longer)
     with pytest.raises(InputError, match="damaged"):
         rl.load(tmp_path / "p.mat")

@@ -128,7 +128,7 @@ def test_compleib_plants_reach_the_best_known_h2_norm(name):
     plant, n_y, n_u, best = compleib(name, "h2_full_best_verified")
     design = h2(plant, n_y, n_u)
     # Without penalty and noise of its own NN3 gets a controller pole of 4e8 rad/s: whether the stability of that loop
-    # is proved turns on the last bits of the processor's linear algebra. Where it is not, the result says so.
+    # is proved turns on the last bits of the processor's linear algebra. If it is not, the result reports it.
     unproved = name == "NN3" and design.reason.startswith("stability rests on ill-conditioned eigenvalues")
     assert design.status is (Status.INACCURATE if unproved else Status.CONVERGED)
     assert design.gamma <= 1.001 * best

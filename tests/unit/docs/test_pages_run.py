@@ -253,7 +253,7 @@ def test_a_page_leads_somewhere_and_names_what_there_is(page):
 
 
 def test_every_page_is_in_the_contents():
-    """A page in no table of contents is found by nobody; the build says so too."""
+    """Every page is in a table of contents; the build checks this, too."""
     from fnmatch import fnmatch
 
     held = []

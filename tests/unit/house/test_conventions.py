@@ -32,7 +32,7 @@ def pd(takes, names=("q", "v"), gains=(3.0, 1.0)):
     return rl.Controller(K, takes=takes)
 
 
-# --- every design says what it takes ----------------------------------------------------------------------------------
+# --- every design states its input -----------------------------------------------------------------------------------
 
 
 def designs():
@@ -136,7 +136,7 @@ def test_digital_and_smaller_controllers_take_the_same():
         assert law(other.inputs) == "u = K y"
 
 
-# --- every function closes it alike, and says so ----------------------------------------------------------------------
+# --- every function uses and reports the same sign --------------------------------------------------------------------
 
 NCF = rl.ncf(OSCILLATORS.nominal, 4.0)  # u = K y: with negative feedback, the default of old, the loop is another
 SIGNED = {
@@ -203,7 +203,7 @@ def test_a_tracking_loop_follows_by_the_sign_that_was_found():
         assert tracking_loop(G, K).nominal.dc_gain()[0, 0] == pytest.approx(2.0)
 
 
-# --- what does not fit says why ---------------------------------------------------------------------------------------
+# --- messages about wrong signals -------------------------------------------------------------------------------------
 
 
 def test_other_signals_are_refused():

@@ -51,7 +51,7 @@ def test_rejection_rate_of_an_independent_input_is_the_level(kind):
 
 
 def test_band_holds_for_coloured_signals():
-    # An independent AR(1) residual and input: about 99 % of the correlations must lie within the corrected band.
+    # An independent AR(1) residual and input: about 99 % of the correlations must be within the corrected band.
     inside = []
     for seed in range(150):
         test = input_correlation(_ar1(2 * seed, 3000, 0.9), _ar1(2 * seed + 1, 3000, 0.9), 60)

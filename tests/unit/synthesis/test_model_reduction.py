@@ -288,7 +288,7 @@ def test_an_unstable_mode_of_huge_gain_adds_what_its_rounding_may_be():
     assert quiet.status is loud.status is Status.CERTIFIED
     assert quiet.left_out == loud.left_out == ()
     assert quiet.error.upper <= quiet.bound * (1 + 1e-2)
-    # 1e14 times rounding is no small part of the error, and the bracket says so.
+    # 1e14 times rounding is a relevant part of the error, and the bracket contains it.
     assert loud.error.upper - loud.error.lower > 1e-4 * loud.error.upper
     assert quiet.error.lower <= loud.error.upper
 
