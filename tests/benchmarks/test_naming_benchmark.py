@@ -35,7 +35,7 @@ def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path
     assert b"truth" not in (folder / "model.h5").read_bytes()
 
 
-def answer_of(verdict, *kinds, possible=(), complete=True, **more):
+def reply(verdict, *kinds, possible=(), complete=True, **more):
     return {
         "verdict": verdict, "named": [{"kind": k} for k in kinds], "possible": list(possible), "complete": complete
     } | more  # fmt: skip
@@ -50,22 +50,22 @@ OUTSIDE = {"condition": "outside", "family": "motor", "kinds": [], "effects": ["
 @pytest.mark.parametrize(
     ("answer", "truth", "right"),
     [
-        (answer_of("named", "dry-friction"), DRY, True),
-        (answer_of("named", "resisting-force"), DRY, True),  # a level above, below the root
-        (answer_of("named", "force"), DRY, False),  # too general
-        (answer_of("named", "speed-friction"), DRY, False),
-        (answer_of("named", "dry-friction", "load"), DRY, False),  # a third one
-        (answer_of("open", possible=["dry-friction"]), DRY, False),
-        (answer_of("named", "load", "dry-friction"), PAIR, True),
-        (answer_of("named", "dry-friction", "dry-friction"), PAIR, False),
-        (answer_of("named", "dry-friction"), PAIR, False),
-        (answer_of("nothing"), NOTHING, True),
-        (answer_of("named", "load"), NOTHING, False),
-        (answer_of("unknown"), NOTHING, False),
-        (answer_of("unknown"), OUTSIDE, True),
-        (answer_of("named", "load", complete=False), OUTSIDE, True),
-        (answer_of("named", "load"), OUTSIDE, False),
-        (answer_of("nothing"), OUTSIDE, False),
+        (reply("named", "dry-friction"), DRY, True),
+        (reply("named", "resisting-force"), DRY, True),  # a level above, below the root
+        (reply("named", "force"), DRY, False),  # too general
+        (reply("named", "speed-friction"), DRY, False),
+        (reply("named", "dry-friction", "load"), DRY, False),  # a third one
+        (reply("open", possible=["dry-friction"]), DRY, False),
+        (reply("named", "load", "dry-friction"), PAIR, True),
+        (reply("named", "dry-friction", "dry-friction"), PAIR, False),
+        (reply("named", "dry-friction"), PAIR, False),
+        (reply("nothing"), NOTHING, True),
+        (reply("named", "load"), NOTHING, False),
+        (reply("unknown"), NOTHING, False),
+        (reply("unknown"), OUTSIDE, True),
+        (reply("named", "load", complete=False), OUTSIDE, True),
+        (reply("named", "load"), OUTSIDE, False),
+        (reply("nothing"), OUTSIDE, False),
     ],
 )
 def test_what_is_right(answer, truth, right):
@@ -75,14 +75,11 @@ def test_what_is_right(answer, truth, right):
 def test_the_table_counts_what_it_says():
     truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
     answers = {
-        "1": {
-            **answer_of("named", "dry-friction", seconds=2.0),
-            "named": [{"kind": "dry-friction", "probability": 0.99}],
-        },
-        "2": answer_of("named", "load", seconds=4.0),
-        "3": answer_of("open", possible=["load", "dry-friction"], seconds=6.0),
-        "5": answer_of("named", "load"),
-        "6": answer_of("named", "load"),
+        "1": {**reply("named", "dry-friction", seconds=2.0), "named": [{"kind": "dry-friction", "probability": 0.99}]},
+        "2": reply("named", "load", seconds=4.0),
+        "3": reply("open", possible=["load", "dry-friction"], seconds=6.0),
+        "5": reply("named", "load"),
+        "6": reply("named", "load"),
     }  # the pair has no answer
     rows = dict(score(truth, answers, {"2": 1.5, "3": 12.0}))
     assert rows["singles: right"] == "1/3"
