@@ -88,8 +88,8 @@ def test_the_table_counts_what_it_says():
     assert rows["singles: sure and wrong"] == "1/3"
     assert rows["pairs: both, and no third"] == "0/1"
     assert rows["nothing missing: reported"] == "0/1"
-    assert rows["nothing missing: a name all the same"] == "1/1"
-    assert rows["outside the catalogue: unknown, or something remains"] == "0/1"
+    assert rows["nothing missing: an effect named"] == "1/1"
+    assert rows["outside the catalogue: unknown or incomplete"] == "0/1"
     assert rows["kinds stated at 0.95 to 1, on average: in the machine"] == "0.99: 1/1"
     assert rows["CPU s a case: median, at 95 %"] == "4, 5.8"
     assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]
