@@ -9,8 +9,7 @@ they change little; within a sample the drives are integrated in steps of 50 us 
 
 Dry friction is an event: the step ends where a rate crosses zero. There the nut either reverses or sticks
 (:math:`\dot\varphi_j = 0` as a constraint, its torque solved for) until that torque exceeds the breakaway level.
-Backlash acts between the rotor, which the encoder measures, and the nut: a spring and damper at either flank, in
-compression only.
+Backlash acts between the rotor, which the encoder measures, and the nut: spring and damper, in compression only.
 """
 
 from __future__ import annotations

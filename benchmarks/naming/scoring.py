@@ -72,8 +72,7 @@ Row = tuple[str, str]
 def score(truth: Mapping[str, Any], answers: Mapping[str, Answer], resolvable: Mapping[str, float]) -> list[Row]:
     """Return rows (label, value) of one program over all cases; a case without an answer counts as not right.
 
-    ``resolvable``: case -> refit distance of truth and answer, for wrong answers; below 3 the records cannot
-    distinguish the two.
+    ``resolvable``: case -> refit distance of truth and answer, for wrong answers; not distinguishable below 3.
     """
     cases = [(key, answers.get(key, MISSING), t) for key, t in truth.items()]
 
