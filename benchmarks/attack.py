@@ -1,22 +1,22 @@
-"""An attack on every certificate: nasty random cases, judged in balls of 200 digits by code that shares none with it.
+"""Test every certificate on difficult random cases, judged in balls of 200 digits by independent code.
 
-Families (`attack_cases`) over hinf, mixsyn, h2, ncf, robust_stability (margin), worst_case_gain (gain), mu, hinf_norm
-and h2_norm (norm). The judge (`attack_verdicts`, `exact_loops`, `exact_delta`) uses nothing of robustlab.
+Families (`attack_cases`) for hinf, mixsyn, h2, ncf, robust_stability (margin), worst_case_gain (gain), mu, hinf_norm
+and h2_norm (norm). The judge (`attack_verdicts`, `exact_loops`, `exact_delta`) imports nothing from robustlab.
 
-A false certificate: a loop of K and P that is unstable, or whose norm (Hamiltonian in balls: all frequencies) or whose
-gain anywhere (P and K evaluated on their own) exceeds gamma by 1e-3, an H2 norm off by 1e-3; a bracket of a norm off by
-1e-6; D, G that do not prove their bound, a Delta that is not singular to within 1e-8, a singular or unstable Delta
-inside a proved ball, a gain above the proved one or a lower one that is not attained (1e-5). Crashes and hangs (more
-CPU time than LIMIT) are listed beside them.
+False certificates are: an unstable loop of K and P; a loop whose norm (Hamiltonian in balls: all frequencies) or whose
+gain at any frequency (P and K evaluated separately) exceeds gamma by 1e-3; an H2 norm off by 1e-3; a bracket of a norm
+off by 1e-6; D, G that do not prove their bound; a Delta that is not singular to within 1e-8; a singular or unstable
+Delta inside a proved ball; a gain above the proved one, or a lower bound that is not attained (1e-5). Crashes and hangs
+(more CPU time than LIMIT) are listed separately.
 
-How to run: a campaign in pieces, each of which may be stopped and started again (cases in the file are skipped);
-functions may be named::
+Run a campaign in parts, which can be interrupted and restarted (cases in the file are skipped); function names select
+cases::
 
     nice -n 10 python benchmarks/attack.py --seed 1 --first 0 --count 1000 --out attack-1.jsonl
     nice -n 10 python benchmarks/attack.py --seed 2 --first 0 --count 1000 --out attack-2.jsonl
     python benchmarks/attack.py --summary attack-1.jsonl attack-2.jsonl > benchmarks/results/attack.txt
 
-One case, with all that came out of it: ``python benchmarks/attack.py --seed 1 --case 17``; its plant, in Python with
+One case with its full result: ``python benchmarks/attack.py --seed 1 --case 17``; its plant, in Python with
 benchmarks/ on the path: ``attack_cases.make_case(1, 17).data``.
 """
 
@@ -44,7 +44,7 @@ from exact_delta import Part, assembled, count
 from exact_loops import Model
 from harness import append, heading, in_child, json_lines, limit_cpu, options, timed
 
-# CPU seconds that a call may take before it counts as hung, and that its judge may.
+# Limits of CPU time in s: of a call, after which it counts as hung, and of its judge.
 LIMIT, JUDGE_LIMIT = 120, 300
 Record = dict[str, Any]
 
@@ -89,7 +89,7 @@ def _delta(parts: tuple[Part, ...], values: Any) -> np.ndarray:
 
 
 def call(case: Case) -> Any:
-    """The function on its case, with its default settings."""
+    """Call the function on its case with default settings."""
     import robustlab as rl
     from robustlab.norms import h2_norm
 
@@ -113,8 +113,8 @@ def claim_of(case: Case, result: Any) -> dict[str, Any]:
     if case.function == "norm":
         norm, h2 = result
         claim = {key: getattr(norm, key) for key in ("lower", "upper", "frequency")}
-        said = {"trusted": norm.status.trustworthy, "h2": h2.value, "h2_trusted": h2.status.trustworthy}
-        return claim | said | {"status": f"{norm.status}, {h2.status}"}
+        more = {"trusted": norm.status.trustworthy, "h2": h2.value, "h2_trusted": h2.status.trustworthy}
+        return claim | more | {"status": f"{norm.status}, {h2.status}"}
     claim = {"status": str(result.status), "trusted": result.status.trustworthy}
     if case.function in ("hinf", "mixsyn", "h2", "ncf"):
         claim |= {"gamma": result.gamma, "K": _plain(result.K)}
@@ -133,14 +133,14 @@ def claim_of(case: Case, result: Any) -> dict[str, Any]:
 
 
 def run_case(case: Case, between: Any = None) -> Record:
-    """Call and judge one case; ``between`` is told when the call is over."""
+    """Call and judge one case; ``between`` is called between the two."""
     record: Record = {"seed": case.seed, "index": case.index, "function": case.function, "family": case.family}
     model = case.model
     record["size"] = len(case.data["matrix"]) if model is None else len(model.A)
     record["discrete"] = model is not None and model.dt > 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        (claim, words), record["cpu"] = timed(_asked, case)
+        (claim, words), record["cpu"] = timed(_claim_or_reason, case)
         if claim is None:
             return record | words
         if between is not None:
@@ -155,40 +155,40 @@ def run_case(case: Case, between: Any = None) -> Record:
     return record
 
 
-def _asked(case: Case) -> tuple[dict[str, Any] | None, Record]:
-    """What was said, or None and why nothing was."""
+def _claim_or_reason(case: Case) -> tuple[dict[str, Any] | None, Record]:
+    """Return the claim, or None and the reason."""
     from robustlab.errors import RobustlabError
 
     try:
         return claim_of(case, call(case)), {}
     except RobustlabError as error:
-        return None, {"outcome": "refused", "said": str(error).splitlines()[0], "kind": type(error).__name__}
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is told and the campaign goes on
+        return None, {"outcome": "refused", "message": str(error).splitlines()[0], "kind": type(error).__name__}
+    except Exception as error:  # noqa: BLE001 - stored as a crash; the campaign continues
         frames = traceback.extract_tb(error.__traceback__)
         inside = [f for f in frames if "robustlab/" in f.filename] or frames
         at = f"{Path(inside[-1].filename).name}:{inside[-1].lineno}"
-        return None, {"outcome": "crash", "said": f"{type(error).__name__} {error} ({at})"}
+        return None, {"outcome": "crash", "message": f"{type(error).__name__} {error} ({at})"}
 
 
 def in_this_process(seed: int, index: int, limit: int) -> Record:
-    """One case under limits of CPU time; what is known when the judge begins is printed as a line of its own."""
+    """Run one case with limits of CPU time; print the record once before the judge starts."""
 
     def judging(record: Record) -> None:
-        print(json.dumps(record | {"outcome": "judge failed", "said": "ended"}, default=float), flush=True)
+        print(json.dumps(record | {"outcome": "judge failed", "message": "ended"}, default=float), flush=True)
         limit_cpu(JUDGE_LIMIT)
 
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_cpu(limit)
     try:
         return run_case(make_case(seed, index), judging)
-    except Exception as error:  # noqa: BLE001 - a fault of the judge is not one of what it judges
-        return {"outcome": "judge failed", "said": "".join(traceback.format_exception(error)[-4:])}
+    except Exception as error:  # noqa: BLE001 - an error of the judge is not an error of the function
+        return {"outcome": "judge failed", "message": "".join(traceback.format_exception(error)[-4:])}
 
 
 def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] = (), limit: int = LIMIT) -> None:
     """Run cases first .. first + number - 1 of a seed that are not in the file yet; append a line for each.
 
-    Each has a process of its own: the kernel ends a call that takes more than its limit of CPU time.
+    Each has its own process: the kernel ends a call that exceeds its limit of CPU time.
     """
     known = {(r["seed"], r["index"]) for r in read([out])}
     for index in range(first, first + number):
@@ -198,7 +198,7 @@ def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] 
         command = [__file__, "--seed", str(seed), "--case", str(index), "--limit", str(limit)]
         record = in_child(command, "", limit, wall=20 * (limit + JUDGE_LIMIT))  # asleep: no CPU time, no answer
         if "refused" in record:
-            record = {"outcome": "hang" if record["refused"] == "no return" else "crash", "said": record["refused"]}
+            record = {"outcome": "hang" if record["refused"] == "no return" else "crash", "message": record["refused"]}
         family = FAMILIES[index // len(FUNCTIONS) % len(FAMILIES)]
         record = {"seed": seed, "index": index, "function": function, "family": family} | record
         append(out, record)
@@ -207,14 +207,14 @@ def attack(seed: int, first: int, number: int, out: Path, only: tuple[str, ...] 
 
 
 def read(files: Iterable[Path]) -> list[Record]:
-    """Records of all files; the last one where a case is met twice."""
+    """Return the records of all files; of a repeated case the last one."""
     return list({(r["seed"], r["index"]): r for r in json_lines(files)}.values())
 
 
 def line_of(record: Record) -> str:
-    """One line about a case, and a line for each finding."""
+    """Return one line about a case, and a line for each finding."""
     head = "seed {seed} case {index}: {function}, {family}: {outcome}".format(**record)
-    lines = [head + (f": {record['said']}" if record.get("said") else "")]
+    lines = [head + (f": {record['message']}" if record.get("message") else "")]
     return "\n".join([*lines, *(f"    {f}" for f in record.get("findings", []))])
 
 
@@ -222,7 +222,7 @@ OUTCOMES = ("held", "not certified", "refused", "false", "crash", "hang", "judge
 
 
 def summary(records: list[Record]) -> str:
-    """The table of a campaign, all that was false, crashed or hung, and the refusals by kind."""
+    """Return the table of a campaign, all false, crashed or hung cases, and the refusals by kind."""
     rows = [f"{'':28s}{'cases':>7s}" + "".join(f"{o:>15s}" for o in OUTCOMES) + f"{'CPU s':>9s}"]
 
     def row(name: str, chosen: list[Record]) -> str:
@@ -240,7 +240,7 @@ def summary(records: list[Record]) -> str:
     for title, outcome in {**titles, "Cases without a judgement": "judge failed"}.items():
         listed = [line_of(r) for r in records if r["outcome"] == outcome]
         rows += ["", f"{title}: {len(listed)}", *listed]
-    kinds = Counter(f"{r['function']}: {_kind(r['said'])}" for r in records if r["outcome"] == "refused")
+    kinds = Counter(f"{r['function']}: {_kind(r['message'])}" for r in records if r["outcome"] == "refused")
     rows += ["", "Refusals by kind:", *(f"{number:6d}  {kind}" for kind, number in kinds.most_common())]
     notes = Counter(f"{r['function']}: {_kind(f)}" for r in records for f in r.get("findings", []) if f[:4] == "note")
     rows += ["", "Notes:", *(f"{number:6d}  {note}" for note, number in notes.most_common())]
@@ -248,13 +248,13 @@ def summary(records: list[Record]) -> str:
 
 
 def _kind(text: str) -> str:
-    """A message without its numbers and names of states."""
+    """Return a message without its numbers and names of states."""
     text = re.sub(r"(?<![A-Za-z])[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?j?|\binf\b|\bnan\b", "#", text)
     return re.sub(r"(#[^a-zA-Z(]*){2,}", "# ", text)[:150]
 
 
 def main() -> int:
-    """The command line; exit code 1 where a certificate is false."""
+    """Run the command line; exit code 1 if a certificate is false."""
     given = options(__doc__, "*", seed=1, first=0, count=80, out="attack.jsonl", case=-1, limit=LIMIT, summary=False)
     if given.summary:
         records = read([Path(name) for name in given.names])

@@ -26,7 +26,7 @@ FAMILIES = (
 
 @dataclass(frozen=True)
 class Case:
-    """What a function is called with.
+    """Arguments of a function call.
 
     ``data``: ``P, n_meas, n_con`` (hinf, h2), ``G, W1, W2, W3`` (mixsyn), ``G, W1, W2`` (ncf), ``M, parts`` (margin,
     gain), ``matrix, parts`` (mu), ``G`` (norm).

@@ -1,7 +1,7 @@
-"""What is false in what a function has said of a case, in exact arithmetic.
+"""Find false claims of a function about a case, in exact arithmetic.
 
-A claim is a dictionary of plain numbers and arrays, so that a lie can be planted; nothing of robustlab is used here.
-Every finding begins with FALSE (a certificate that does not hold) or with note (told, but no false certificate).
+A claim is a dictionary of plain numbers and arrays, so that a test can falsify it; nothing of robustlab is used here.
+Every finding begins with FALSE (a certificate that does not hold) or with note (no false certificate).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ Claim = dict[str, Any]
 Findings = Iterator[str]
 Response = Callable[[Any], Any]
 
-# What a verified norm of a design may be off; a bracket of a norm; a proved margin or gain (5e-6 of slack is stated).
+# Accepted relative errors of: a verified norm of a design, a bracket of a norm, a proved margin or gain (5e-6 stated).
 DESIGN, BRACKET, PROVED = 1e-3, 1e-6, 1e-5
-# A direct term from w to z below this share of what cancels is rounding of the controller's D (documented for h2).
+# A direct term from w to z below this share of the cancelling terms is rounding of the controller's D (see h2).
 CANCELLED = 1e-10
 
 
@@ -163,7 +163,7 @@ def _norm_of_loop(loop: Callable[[], System], at: Response, models: list[Model],
         yield "note: norm attacked at frequencies, not decided for all of them"
     bound = claim.get("lower_bound") or 0.0
     if bound > claim["gamma"] * (1 + DESIGN):
-        yield f"FALSE: no controller is said to reach {bound:.6g}, this one has {claim['gamma']:.6g}"
+        yield f"FALSE: the claimed lower bound is {bound:.6g}, this controller has {claim['gamma']:.6g}"
 
 
 def _norm(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Findings:
@@ -223,7 +223,7 @@ def _mu(data: dict[str, Any], claim: Claim, rng: np.random.Generator) -> Finding
             yield "FALSE: D, G do not have the structure"
         elif not deltas.proves(M, claim["D"], claim["D_z"], claim["G"], upper):
             yield f"FALSE: D, G do not prove the upper bound {upper:.9g}"
-    # M of size one, by a power of two, so that no radius overflows. An upper bound of zero says that nothing is
+    # M of size one, by a power of two, so that no radius overflows. An upper bound of zero states that nothing is
     # singular: a ball as large as sensible is tried.
     exponent = int(np.frexp(np.abs(M).max())[1])
     unit = np.ldexp(M.real, -exponent) + 1j * np.ldexp(M.imag, -exponent)

@@ -4,7 +4,7 @@
     python benchmarks/attack_zeros.py --summary zeros.jsonl crossings.jsonl
 
 Case i needs no other. The judge (`zeros_judge`) works with the entries as rational numbers, in other ways than the
-library does, and uses nothing of it. Wrong and vouched for (status converged or certified, or a result without one):
+library does, and uses nothing of it. Wrong and trusted (status converged or certified, or a result without one):
 
 - a zero that is missing, unless random relative changes of the entries by 3e-14 move it by 1 %; a value off by 1e-9 of
   every zero at which P(s), rows and columns brought to size one, keeps its rank by more than 1e-12;
@@ -288,14 +288,14 @@ def crossings_case(i: int) -> dict[str, Any]:
 
 def crossings_fault(loop: judge.Loop, margin: Any) -> str:
     gain, phase = loop.crossings()
-    for said, wanted, what in (
+    for reported, wanted, what in (
         ([(c.frequency, c.lag) for c in margin.gain_crossings], gain, "|L| = 1"),
         ([(c.frequency, c.factor) for c in margin.phase_crossings if 0 < c.frequency < _last(loop)], phase, "L < 0"),
     ):
         kept = [x for x in wanted if what == "|L| = 1" or x[1] > 1e-9]
-        if len(said) != len(kept):
-            return f"{what}: {len(said)} crossings of {len(kept)}"
-        for (w, value), (w0, value0) in zip(said, kept, strict=True):
+        if len(reported) != len(kept):
+            return f"{what}: {len(reported)} crossings of {len(kept)}"
+        for (w, value), (w0, value0) in zip(reported, kept, strict=True):
             turn = abs((value - value0 + math.pi) % (2 * math.pi) - math.pi) if what == "|L| = 1" else 0.0
             far = abs(value / value0 - 1) if what == "L < 0" else 0.0
             if abs(w / w0 - 1) > CLOSE or turn > CLOSE or far > CLOSE:
@@ -364,14 +364,14 @@ def summary(files: list[Path]) -> str:
                 rows[record["family"]].append(record)
         if not rows:
             continue
-        lines.append(f"{what:<28}{'cases':>8}{'vouched for':>13}{'inaccurate':>12}{'refused':>9}{'WRONG':>7}{'ms':>8}")
+        lines.append(f"{what:<28}{'cases':>8}{'trusted':>13}{'inaccurate':>12}{'refused':>9}{'WRONG':>7}{'ms':>8}")
         for family, found in [*rows.items(), ("all", [r for part in rows.values() for r in part])]:
             status = Counter(r["status"] for r in found)
             wrong = sum(bool(r["wrong"]) for r in found)
             good = status["converged"] + status["certified"]
             middle = 1e3 * float(np.median([r["seconds"] for r in found]))
-            told = f"{good:>13}{status['inaccurate']:>12}{status['refused']:>9}{wrong:>7}{middle:>8.1f}"
-            lines.append(f"{family:<28}{len(found):>8}{told}")
+            columns = f"{good:>13}{status['inaccurate']:>12}{status['refused']:>9}{wrong:>7}{middle:>8.1f}"
+            lines.append(f"{family:<28}{len(found):>8}{columns}")
         lines.append("")
     lines += [f"WRONG {r['what']} {r['case']} {r['family']}: {r['wrong']}" for r in records if r["wrong"]]
     return "\n".join(lines)

@@ -1,14 +1,14 @@
-"""Synthesis on the COMPleib plants beside its peers: norms over the best that is known, false claims, CPU time.
+"""Compare synthesis on the COMPleib plants with peers: norms over the best known, false claims, CPU time.
 
     python benchmarks/compleib.py --what hinf|h2|static [--most-states 60] [--cpu-limit 20] [--data FILE] [NAME ...]
 
-hinf: `rl.hinf` (smallest gamma, and the default), control.hinfsyn, slycot sb10ad gave ten times the best. h2: `rl.h2`
-and control.h2syn. static: `rl.fixed_structure`, beside the figures of HIFOO 3.501 that come with the data. Every tool
-designs each plant in a child with a limit on its CPU time from after its imports: Fortran does not always return.
+hinf: `rl.hinf` (smallest gamma, and the default), control.hinfsyn, slycot sb10ad from ten times the best. h2: `rl.h2`
+and control.h2syn. static: `rl.fixed_structure`, with the figures of HIFOO 3.501 from the data. Every tool designs each
+plant in a child process with a limit of CPU time after its imports: Fortran code does not always return.
 
-The controllers come back, and the norm of each loop is computed again: of H-infinity the larger of `rl.peak_gain` and
-of a dense grid with zoom written here with numpy alone; an unstable loop has no norm. Where the infimum looks like
-zero a norm of at most 1e-2 counts as reached. A false claim is a gamma that the true norm exceeds by more than 0.1 %.
+The norm of each loop is then computed again. For H-infinity it is the larger of `rl.peak_gain` and a dense refined grid
+with numpy alone; an unstable loop has no norm. If the infimum seems to be zero, a norm of at most 1e-2 counts as
+reached. A false claim is a gamma that the true norm exceeds by more than 0.1 %.
 """
 
 from __future__ import annotations

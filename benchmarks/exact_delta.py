@@ -25,7 +25,7 @@ from exact_loops import (
 from flint import acb, acb_mat, arb, arb_mat
 
 Matrix = np.ndarray
-# How far from a singular Delta a returned one may lie, relative to its own size.
+# Largest distance of a returned Delta from a singular one, relative to its own size.
 NEAR = 1e-8
 AT_ONCE: dict[str, Any] = {"polish": False, "vectorized": True, "updating": "deferred"}  # differential evolution
 
@@ -51,7 +51,7 @@ def count(parts: Sequence[Part]) -> int:
 
 
 def block_norm(parts: Sequence[Part], delta: Matrix) -> float:
-    """Largest norm of a block, a negative real number measured by what lies below its nominal value."""
+    """Return the largest block norm; negative real numbers are divided by the range below nominal."""
     sizes = []
     for p, (w, z) in zip(parts, slices(parts), strict=True):
         block = delta[w, z]
@@ -212,7 +212,7 @@ def singular_next_to(M: Any, parts: Sequence[Part], delta: Matrix) -> acb_mat | 
         determinant = a * c - b * b
         if determinant > arb("1e-30") * (a + c) ** 2:
             alpha, beta = (c * r - b * i) / determinant, (a * i - b * r) / determinant
-        elif a + c > 0:  # all gains on one line: the residual has to lie on it too
+        elif a + c > 0:  # all gains on one line: the residual must be on it, too
             alpha, beta = r / (a + c), i / (a + c)
         else:
             return None

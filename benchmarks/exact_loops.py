@@ -1,15 +1,15 @@
-r"""Loops judged in rationals, or in balls of at least 200 digits: stability, H-infinity and H2 norms.
+r"""Stability, H-infinity and H2 norms of loops in rationals, or in balls of at least 200 digits.
 
-Nothing of robustlab is used here: the judge takes plain arrays. Every entry is the very number that the float is.
-Rationals decide everything; balls cost less for large models.
+Nothing of robustlab is used here: the judge takes plain arrays. Every entry is the exact value of the float.
+Rationals decide every test; balls cost less for large models.
 
-Stability is told by the signs of the Routh array of the characteristic polynomial. ``|G| < gamma`` iff G is stable,
+Stability follows from the signs of the Routh array of the characteristic polynomial. ``|G| < gamma`` iff G is stable,
 ``sigma_max(D) < gamma`` and the Hamiltonian of gamma has no eigenvalue on the axis: Sturm's theorem on its
 characteristic polynomial in ``omega^2``, a proof over all frequencies at once. For a gain at a frequency P(jw) and
-K(jw) are evaluated on their own, then joined: it shares nothing with that test. The H2 norm is that of the Gramian by
+K(jw) are evaluated separately, then joined, independently of that test. The H2 norm is that of the Gramian by
 doubling of the Cayley transform.
 
-A test in balls whose sign no precision decides answers None.
+A test in balls returns None if no precision decides its sign.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from flint import acb, acb_mat, acb_poly, arb, arb_mat, arb_poly, ctx, fmpq, fmpq_mat, fmpq_poly
 
-# Bits of the mantissa; the next one is taken where a sign is open.
+# Bits of the mantissa; the next entry is used if a sign is undecided.
 PRECISIONS = (700, 2500, 10000)
 T = TypeVar("T")
 Matrix = Any  # fmpq_mat, arb_mat or acb_mat
@@ -48,14 +48,14 @@ class System(NamedTuple):
 
 
 def with_precision(test: Callable[[], T | None]) -> T | None:
-    """What the test answers in the lowest precision in which it does; None where none decides."""
+    """Return the result of the test in the lowest precision that decides it; None if none does."""
     before = ctx.prec
     try:
         for bits in PRECISIONS:
             ctx.prec = bits
             try:
                 answer = test()
-            except ZeroDivisionError:  # a matrix that cannot be told from a singular one
+            except ZeroDivisionError:  # a matrix indistinguishable from a singular one
                 answer = None
             if answer is not None:
                 return answer
@@ -65,7 +65,7 @@ def with_precision(test: Callable[[], T | None]) -> T | None:
 
 
 def exact(a: Any) -> Matrix:
-    """The matrix of the very numbers that the floats are."""
+    """Return the matrix of the exact values of the floats."""
     array = np.asarray(a)
     rows, columns = array.shape
     if np.iscomplexobj(array):
@@ -229,7 +229,7 @@ def coprime_plant(G: System) -> System:
 
 
 def is_stable(A: Matrix, discrete: bool) -> bool | None:
-    """Whether all eigenvalues lie in the open region of stability; None where this precision cannot tell."""
+    """Return whether all eigenvalues are in the open stability region; None if this precision does not decide."""
     if not A.nrows():
         return True
     c = A.charpoly().coeffs()
@@ -397,9 +397,9 @@ def gain(M: Matrix) -> arb:
 
 
 def peak(
-    at: Callable[[Any], arb], found: Sequence[complex], dt: float, points: int = 24, rounds: int = 30, beside: int = 6
+    at: Callable[[Any], arb], found: Sequence[complex], dt: float, points: int = 24, rounds: int = 30, near: int = 6
 ) -> tuple[arb, float]:
-    """Largest gain met at 0, infinity, at and beside all given poles, on a grid between them, at the tops refined."""
+    """Return the largest gain at 0, infinity, at and near all given poles, on a grid, refined at its peaks."""
     if dt:
         found = [complex(np.log(p)) / dt for p in found if p and np.isfinite(np.log(p))]
     sizes = [abs(p) for p in found if 1e-280 < abs(p) < 1e280]
@@ -407,7 +407,7 @@ def peak(
     end = np.pi / dt if dt else np.inf
     omega = {0.0, end, *np.geomspace(low, high, points).tolist()}
     for p in found:
-        omega |= {abs(p), abs(p.imag)} | {abs(p.imag) + k * abs(p.real) for k in (-1, 1, -0.3, 0.3, -3, 3)[:beside]}
+        omega |= {abs(p), abs(p.imag)} | {abs(p.imag) + k * abs(p.real) for k in (-1, 1, -0.3, 0.3, -3, 3)[:near]}
     grid = sorted(w for w in omega if 0 <= w <= end)
     values = [_safe(at, w) for w in grid]
     best = max(range(len(grid)), key=lambda k: float_or_inf(values[k]))
@@ -430,7 +430,7 @@ def peak(
 
 
 def _safe(at: Callable[[Any], arb], omega: float) -> arb:
-    """The gain in enough digits, or zero at a pole on the axis (a loop that is stable has none)."""
+    """Return the gain in enough digits, or zero at a pole on the axis (a stable loop has none)."""
     value = with_precision(lambda: at(omega))
     return arb(0) if value is None else value.mid()
 

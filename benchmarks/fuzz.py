@@ -247,7 +247,7 @@ def _child(reader: Reader, paths: list[Path], truths: set[str], end: int) -> Non
     # Limits are for what reading takes, whatever the process that forks has grown to.
     most, had = _pages(0) + ADDRESS_SPACE, _pages(1)
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    faulthandler.disable()  # a crash of a library is an outcome here, and told as one
+    faulthandler.disable()  # a crash of a library is an outcome here, and reported as one
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     warnings.simplefilter("ignore")

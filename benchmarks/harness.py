@@ -1,4 +1,4 @@
-"""What the benchmarks share: options, a heading, CPU time, calls in a child under a limit of CPU time, JSON lines."""
+"""Shared by the benchmarks: options, a heading, CPU time, calls in a child under a limit of CPU time, JSON lines."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ import numpy as np
 
 
 def options(description: str | None, names: Sequence[str] | str = (), **defaults: Any) -> argparse.Namespace:
-    """What the command line gives: ``names`` (of these, or any with "*") and ``--key VALUE`` of the default's type.
+    """Return the command line arguments: ``names`` (of these, or any with "*") and ``--key VALUE``.
 
-    A default of False makes a flag, a tuple of words a choice of which the first is the default.
+    A value has the type of its default. False makes a flag; a tuple of words is a choice, its first entry the default.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     if names:
@@ -39,7 +39,7 @@ def options(description: str | None, names: Sequence[str] | str = (), **defaults
 
 
 def heading(*packages: str) -> str:
-    """Command, day, machine and versions, as two lines of comment."""
+    """Return command, day, machine and versions as two lines of comment."""
     machine = f"{platform.machine()} {platform.system()}, load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     installed = {d.metadata["Name"].lower(): d.version for d in distributions()}
     found = ", ".join(f"{name} {installed[name]}" for name in packages if name in installed)
@@ -48,7 +48,7 @@ def heading(*packages: str) -> str:
 
 
 def timed(call: Callable[..., Any], *given: Any, **options: Any) -> tuple[Any, float]:
-    """What a call returns, and its CPU seconds."""
+    """Return the result of a call and its CPU seconds."""
     start = time.process_time()
     found = call(*given, **options)
     return found, time.process_time() - start

@@ -1,11 +1,10 @@
-"""Bounds of mu beside their peers, margins and worst-case gains: tightness and CPU time of what is proved.
+"""Compare bounds of mu with peers, and margins and worst-case gains: tightness and CPU time of the proofs.
 
     python benchmarks/mu.py --what matrices|chains|published [--count 20]
 
-matrices: both bounds of `rl.mu` beside raw slycot.ab13md (no repeated and no rectangular blocks) and the D-G inequality
-in cvxpy with Clarabel by bisection, which knows every kind of block and whose optimum is the measure of tightness; slow
-peers get the first matrices of the batch only. chains: the lightly damped models, to 5 %. published: margins from
-the literature.
+matrices: both bounds of `rl.mu`, slycot.ab13md (no repeated and no rectangular blocks) and the D-G inequality in cvxpy
+with Clarabel by bisection, which handles every block type and whose optimum measures the tightness. Slow peers get the
+first matrices only. chains: lightly damped models, to 5 %. published: margins from the literature.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ Model = tuple[rl.StateSpaceModel, list[Any]]
 def chain(n: int, repeats: int, seed: int, damping: float = 0.005, spread: float = 0.3) -> Model:
     """A chain of n masses on springs, lightly damped, each of n / repeats stiffnesses shared by so many springs.
 
-    Masses and springs lie in [0.5, 2] and [0.3, 3]; the first mass is pushed against the speed of the last one, seen
+    Masses and springs are in [0.5, 2] and [0.3, 3]; the first mass is pushed against the speed of the last one, seen
     through a lag at the middle frequency, at 40 % of the gain at which that loop becomes unstable. Modes that meet
     inside the set exchange what this loop does to their damping.
     """
@@ -37,7 +37,7 @@ def spring_graph(n: int, springs: int, repeats: int, seed: int, damping: float =
 def _pushed_masses(
     elongation: np.ndarray, repeats: int, rng: np.random.Generator, damping: float, spread: float
 ) -> Model:
-    """Masses on springs, which each row of ``elongation`` (springs, masses) tells, under the loop of `chain`."""
+    """Return masses on springs, given by the rows of ``elongation`` (springs, masses), in the loop of `chain`."""
     springs, n = elongation.shape
     eye = np.eye(n)
     k, m = 10 ** rng.uniform(-0.5, 0.5, springs), 10 ** rng.uniform(-0.3, 0.3, n)

@@ -1,8 +1,8 @@
 """An open benchmark of naming: ``python benchmarks/naming_benchmark.py make|answer|score`` (docs/discover.md).
 
-``make DIR`` writes the data set (some 300 cases; ``truth.json`` apart from what a program may read). ``answer DIR
---program robustlab --out FILE.json`` lets one of three programs answer (robustlab, stepwise, sindy; the last needs
-``pip install robustlab[bench]``); it goes on where it was cut short. ``score DIR FILE.json ...`` prints one table.
+``make DIR`` writes the data set (some 300 cases, with the hidden effects in ``truth.json``). ``answer DIR --program
+robustlab --out FILE.json`` runs one of three programs (robustlab, stepwise, sindy; the last needs ``pip install
+robustlab[bench]``) and continues an interrupted run. ``score DIR FILE.json ...`` prints one table.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from naming.regression import answer as regressed
 from naming.scoring import is_right, table
 
 SEED = 2026
-WINDOWS, MOST_STARTS = 12, 24  # into which a record is cut; combinations of places and starts of hidden effects
+WINDOWS, MOST_STARTS = 12, 24  # windows of a record; most combinations of places and start values of hidden effects
 
 
 def robustlab(folder: Path) -> dict[str, Any]:
-    """The answer of `robustlab data discover` to a case."""
+    """Return the answer of `robustlab data discover` to a case."""
     import robustlab as rl
     from robustlab.budget import one_thread
 
@@ -70,12 +70,12 @@ def _answered(job: tuple[Path, str]) -> tuple[str, dict[str, Any]]:
     folder, program = job
     try:
         return folder.name, robustlab(folder) if program == "robustlab" else regressed(folder, program)
-    except Exception:  # noqa: BLE001 - a lost case is an answer that is not right, and is told
+    except Exception:  # noqa: BLE001 - a failed case is stored and counts as not right
         return folder.name, {"verdict": "open", "complete": False, "failed": traceback.format_exc(limit=-3)}
 
 
 def answer(folder: Path, program: str, out: Path, minutes: float, workers: int) -> None:
-    """Let a program answer all cases that the file has no answer of."""
+    """Run a program on all cases without an answer in the file."""
     version = ""
     if program == "robustlab":
         from robustlab.provenance import library_versions
@@ -85,37 +85,37 @@ def answer(folder: Path, program: str, out: Path, minutes: float, workers: int) 
     jobs = [(path, program) for path in sorted((folder / "cases").iterdir()) if path.name not in done]
     began = time.monotonic()
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=50) as pool:
-        for key, said in pool.imap_unordered(_answered, jobs):
-            done[key] = said
+        for key, result in pool.imap_unordered(_answered, jobs):
+            done[key] = result
             write_answers(out, program + version, done)
-            print(f"# {len(done)} {time.monotonic() - began:5.0f} s  {key}: {said['verdict']} "
-                  f"{[n['kind'] for n in said.get('named', [])]}", flush=True)  # fmt: skip
+            print(f"# {len(done)} {time.monotonic() - began:5.0f} s  {key}: {result['verdict']} "
+                  f"{[n['kind'] for n in result.get('named', [])]}", flush=True)  # fmt: skip
             if time.monotonic() - began > 60 * minutes:
                 pool.terminate()
                 break
 
 
 def apart(folder: Path, truth: dict[str, Any], answers: dict[str, Any], seed: int) -> dict[str, float]:
-    """Case -> refit distance of truth and answer, of singles and pairs that are answered by something else.
+    """Return case -> refit distance of truth and answer, for singles and pairs with a different answer.
 
-    An answer that has all that is hidden, and more or none of it sure, is no case that the records cannot tell.
+    Answers that contain all hidden effects are left out: there the records do show the truth.
     """
     from naming.composition import drawn
 
     entries = {e.id: e for e in composition(seed)}
     found = {}
-    for key, said in answers.items():
+    for key, given in answers.items():
         t = truth.get(key)
-        if not t or t["condition"] not in ("single", "pair") or is_right(said, t) or "effects" not in said:
+        if not t or t["condition"] not in ("single", "pair") or is_right(given, t) or "effects" not in given:
             continue
-        if not {*t["effects"]} <= {e["name"] for e in said["effects"]}:
-            told = [(e["name"], e["at"], e["values"]) for e in said["effects"]]
-            found[key] = distance(drawn(entries[key]), t["effects"], told)
+        if not {*t["effects"]} <= {e["name"] for e in given["effects"]}:
+            effects = [(e["name"], e["at"], e["values"]) for e in given["effects"]]
+            found[key] = distance(drawn(entries[key]), t["effects"], effects)
     return found
 
 
 def distance(case: Any, truth: Sequence[str], answer: Sequence[tuple[str, str, Any]]) -> float:
-    """Refit distance from the hidden effects to those of the answer; NaN where the catalogue cannot say one here."""
+    """Return the refit distance from the hidden effects to those of the answer; NaN if no candidate exists."""
     from robustlab.dynamics import linear_plant_of, port_model
     from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
     from robustlab.identification.greybox.effect_fit import FitPlan, Hypothesis, Problem, refit_distance
@@ -138,8 +138,8 @@ def distance(case: Any, truth: Sequence[str], answer: Sequence[tuple[str, str, A
     true = min(fits, key=lambda f: f.cost)
     noise = whitening(problem, true)
     true = problem.fit(true.hypothesis, noise, true.z, true.starts, FitPlan(12))
-    told = [(c, values) for name, place, values in answer for c in _alike(pool, name, place)]
-    rival = problem.fit(Hypothesis(tuple(c for c, _ in told)), noise, _point(problem, told), true.starts, FitPlan(12))
+    other = [(c, values) for name, place, values in answer for c in _alike(pool, name, place)]
+    rival = problem.fit(Hypothesis(tuple(c for c, _ in other)), noise, _point(problem, other), true.starts, FitPlan(12))
     return refit_distance(problem, true, rival)
 
 
@@ -148,7 +148,7 @@ def _alike(pool: Iterable[Any], name: str, place: str) -> list[Any]:
 
 
 def _point(problem: Any, chosen: Sequence[tuple[Any, Any]]) -> Any:
-    """Standardised parameters: nominal ones at their values, each effect where it begins."""
+    """Return standardised parameters: nominal ones at their values, effects at their start values."""
     return np.concatenate([np.zeros(len(problem.nuisances)), *(c.standardised(start) for c, start in chosen)])
 
 
@@ -159,12 +159,12 @@ def main(argv: Sequence[str] | None = None) -> None:
     made.add_argument("folder", type=Path)
     made.add_argument("--seed", type=int, default=SEED)
     made.add_argument("--case", nargs="+", help="only these")
-    asked = commands.add_parser("answer", help="let a program answer")
-    asked.add_argument("folder", type=Path)
-    asked.add_argument("--program", choices=("robustlab", *PROGRAMS), default="robustlab")
-    asked.add_argument("--out", type=Path, required=True)
-    asked.add_argument("--minutes", type=float, default=float("inf"), help="begin no case after this time")
-    asked.add_argument("--workers", type=int, default=2, help="cases at the same time, one thread each")
+    run = commands.add_parser("answer", help="run a program on the data set")
+    run.add_argument("folder", type=Path)
+    run.add_argument("--program", choices=("robustlab", *PROGRAMS), default="robustlab")
+    run.add_argument("--out", type=Path, required=True)
+    run.add_argument("--minutes", type=float, default=float("inf"), help="start no case after this time")
+    run.add_argument("--workers", type=int, default=2, help="cases at the same time, one thread each")
     judged = commands.add_parser("score", help="the table of all programs")
     judged.add_argument("folder", type=Path)
     judged.add_argument("answers", type=Path, nargs="+")

@@ -1,9 +1,9 @@
-"""CPU time of a call beside the peer's for the same question: norms, reduction, synthesis, mu; 3, 20 and 60 states.
+"""Compare CPU times with peers on the same problem: norms, reduction, synthesis, mu; 3, 20 and 60 states.
 
     python benchmarks/peers.py [--repeats 15] [NAME ...]
 
-All in one process and one run, one BLAS thread, warm, the minimum of several calls in turn; seeds are fixed. Ours
-returns its evidence with the number (bracket, second path, verified loop, certificate); the peers return the number.
+All in one process and one run, one BLAS thread, warm, the minimum of several alternating calls; fixed seeds. robustlab
+returns the number with its evidence (bracket, second path, verified loop, certificate); the peers return the number.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ NOISE = {"low": (4000, 1e-4, 2e-3, 0.0), "mid": (2000, 3e-4, 5e-3, 2e-5), "high"
 
 
 def nominal_plant(motors: bool = True) -> Any:
-    """What the user believes, with tolerances: `rl.plant("stewart-platform", preset="physical", ...)`."""
+    """Return the nominal plant with tolerances: `rl.plant("stewart-platform", preset="physical", ...)`."""
     return rl.plant("stewart-platform", preset="physical", motors=motors, **TOLERANCES[motors])
 
 
@@ -202,7 +202,7 @@ def _tones(r: np.random.Generator, count: int, low: float, high: float) -> tuple
 
 @lru_cache(maxsize=4)
 def reference(seed: int, run: int, n: int) -> tuple[Array, Array]:
-    """Poses (n, 6) asked for, within reach of the legs and of the motors, and their nut angles (n, 6)."""
+    """Return reference poses (n, 6), within reach of the legs and of the motors, and their nut angles (n, 6)."""
     r = generator(seed, "path", run)
     speed, fast = _stretches(r, n)
     t = np.arange(n) * DT
@@ -384,7 +384,7 @@ def _record(run: Run, noise: str, motors: bool, r: np.random.Generator, name: st
 def cached_case(
     folder: Path, name: str, seed: int, *, motors: bool = True, noise: str = "mid", duration: float = DURATION
 ) -> PlatformCase:
-    """The case from its files in the folder, which are written where they are missing."""
+    """Return the case from its files in the folder; write missing files."""
     word = f"{name.replace(' ', '-')}_{'motors' if motors else 'torques'}_{noise}_{duration:g}s_{seed}"
     truth, first, second = (folder / f"{word}{end}" for end in (".json", "_record.h5", "_held-out.h5"))
     if not truth.exists():
@@ -394,10 +394,10 @@ def cached_case(
         rl.save(second, case.held_out)
         truth.write_text(json.dumps(case.truth(), indent=1), encoding="utf-8")
         return case
-    told = json.loads(truth.read_text(encoding="utf-8"))
+    saved = json.loads(truth.read_text(encoding="utf-8"))
     return PlatformCase(
-        told["name"], tuple(told["legs"]), tuple(told["values"]), told["perturbed"], told["seed"], told["motors"],
-        told["noise"], rl.load(first), rl.load(second),
+        saved["name"], tuple(saved["legs"]), tuple(saved["values"]), saved["perturbed"], saved["seed"], saved["motors"],
+        saved["noise"], rl.load(first), rl.load(second),
     )  # fmt: skip
 
 
@@ -408,11 +408,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--torques", action="store_true", help="without motors")
     parser.add_argument("--noise", choices=NOISE, default="mid")
     parser.add_argument("--out", type=Path, default=Path("out/platform_cases"))
-    asked = parser.parse_args(argv)
-    for seed in seeds(asked.seeds):
-        for name in asked.only or names(not asked.torques):
+    args = parser.parse_args(argv)
+    for seed in seeds(args.seeds):
+        for name in args.only or names(not args.torques):
             began = time.process_time()
-            case = cached_case(asked.out, name, seed, motors=not asked.torques, noise=asked.noise)
+            case = cached_case(args.out, name, seed, motors=not args.torques, noise=args.noise)
             print(f"{name} {seed}: legs {list(case.legs)}, {list(case.values)}, {time.process_time() - began:.1f} s")
 
 

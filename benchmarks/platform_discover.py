@@ -1,13 +1,13 @@
-"""Naming on the Stewart platform, judged: name AND leg. ``python benchmarks/platform_discover.py --seeds 1-4``.
+"""Score effect identification on the Stewart platform, effect AND leg: ``python benchmarks/platform_discover.py``.
 
-Each case of `platform_cases` is named by `robustlab.discover` in a process of its own, one line of ``--store`` a case;
-what is there is not run again. A case that was refused, failed or ran out of time is a line, too, and counts as wrong.
-``--report`` runs nothing.
+Each case of `platform_cases` runs `robustlab.discover` in its own process and writes one line to ``--store``. Stored
+cases are not run again. A case that was refused, failed or ran out of time is also stored, and counts as wrong.
+``--report`` prints the scores of the stored cases only.
 
-What counts: *right* where exactly the hidden effect, or its kind, is named at exactly its legs (a lateness that may be
-the input's or the sensor's is one at its leg); *by name* where it is the effect itself; *in the answer* where some set
-of the collection of 95 % says so; *sure and wrong* where the verdict is "named" and neither is right. Nothing hidden is
-right where nothing is named, and what no catalogue has where nothing is, or where the answer says that more remains.
+Scores: *right*: exactly the hidden effect, or its effect class, is named at exactly its legs (a time delay of the input
+or of the sensor counts as one at its leg). *By name*: the effect itself is named. *In the answer*: a set of the 95 %
+collection contains it. *Sure and wrong*: the verdict is "named" and neither is right. A case without a hidden effect
+is right if nothing is named. A case outside the catalogue is right if nothing is named or the answer is incomplete.
 
 Seeds: 1-99 for tuning, 9001-9099 for checking; 77001-77099 (``--last``) are run once, at the very end.
 """
@@ -30,14 +30,14 @@ from platform_cases import NOISE, OUTSIDE, PlatformCase, cached_case, names, nom
 from robustlab.dynamics import KIND_OF
 
 Line = dict[str, Any]
-Said = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
+Legs = frozenset[tuple[str, int]]  # (effect, leg 1..6; 0: nowhere in particular)
 
 LAST = range(77001, 77100)
 LIMIT = 1200.0  # s of wall time a case
 CACHE = Path("out/platform_cases")
 
-# What a hidden effect may be called besides its own name, where the two are one to the records or to the catalogue: an
-# encoder's offset is a bias of its reading, and without motors a motor's torque constant is the gain of its input. The
+# Other names accepted for a hidden effect, where the records or the catalogue do not distinguish the two: an encoder
+# offset is a bias of its reading, and without motors a motor's torque constant is the gain of its input. The
 # platform's mass is an inertia of the machine, and its centre a centre of mass.
 ACCEPTED = {
     "encoder-offset": ("sensor-bias",),
@@ -48,8 +48,8 @@ ACCEPTED = {
 COMMON = ("platform-mass", "platform-centre", "gravity-direction")
 
 
-def said_of(effects: Iterable[tuple[str, str]]) -> Said:
-    """(effect, place) pairs of an answer as (effect, leg): a place such as ``phidot_3`` or ``u_3`` is leg 3."""
+def legs_of(effects: Iterable[tuple[str, str]]) -> Legs:
+    """Convert (effect, place) pairs to (effect, leg): a place such as ``phidot_3`` or ``u_3`` is leg 3."""
     out = set()
     for name, place in effects:
         tail = place.rpartition("_")[2]
@@ -57,30 +57,30 @@ def said_of(effects: Iterable[tuple[str, str]]) -> Said:
     return frozenset(out)
 
 
-def is_truth(said: Said, case: PlatformCase, of: Mapping[str, str] | None = None) -> bool:
-    """Whether an answer is the hidden effect, or with `KIND_OF` its kind, at its legs, and no more."""
+def is_truth(named: Legs, case: PlatformCase, of: Mapping[str, str] | None = None) -> bool:
+    """Return whether the named effects are exactly the hidden one, or with `KIND_OF` its class, at its legs."""
     if case.name in ("none", *OUTSIDE):
-        return of is None and not said
+        return of is None and not named
     own = [of[name] if of else name for name in ACCEPTED.get(case.effect, (case.effect,))]
-    if not said or any(name not in own for name, _ in said):
+    if not named or any(name not in own for name, _ in named):
         return False
-    legs = {leg for _, leg in said}
+    legs = {leg for _, leg in named}
     return case.effect in COMMON or legs == set(case.legs) or (len(case.legs) == 6 and legs == {0})
 
 
 def verdict_of(
-    case: PlatformCase, verdict: str, complete: bool, said: Said, open_sets: Sequence[Said], kinds: Said
+    case: PlatformCase, verdict: str, complete: bool, named: Legs, open_sets: Sequence[Legs], kinds: Legs
 ) -> Line:
-    """right, by_name, in_answer, sure_wrong of an answer."""
+    """Return right, by_name, in_answer, sure_wrong of an answer."""
     if case.name in OUTSIDE:
         right = verdict == "unknown" or not complete
         return {
             "right": right, "by_name": right, "in_answer": right, "sure_wrong": verdict == "named" and complete,
         }  # fmt: skip
     sure = verdict in ("named", "no missing effect")
-    by_name, by_kind = is_truth(said, case), is_truth(kinds, case, KIND_OF)
+    by_name, by_kind = is_truth(named, case), is_truth(kinds, case, KIND_OF)
     right = sure and (by_name or by_kind)
-    found = right or any(is_truth(s, case) for s in (said, *open_sets))
+    found = right or any(is_truth(s, case) for s in (named, *open_sets))
     return {
         "right": right, "by_name": sure and by_name, "in_answer": found,
         "sure_wrong": verdict == "named" and not (by_name or by_kind),
@@ -88,7 +88,7 @@ def verdict_of(
 
 
 def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclude: Sequence[str] = ()) -> Line:
-    """Name one case in this process; whatever goes wrong is in the line."""
+    """Run one case in this process; errors are stored in the line."""
     import robustlab as rl
 
     line: Line = {}
@@ -103,8 +103,8 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
         named = [(e.name, e.site) for e in found.effects]
         sets = [[tuple(e.partition("@")[::2]) for e in p.effects] for p in found.collection]
         kinds = [(k.kind, k.place) for k in found.kinds]
-        open_sets = [said_of(s) for s in sets]
-        line |= verdict_of(case, found.verdict, found.complete, said_of(named), open_sets, said_of(kinds))
+        open_sets = [legs_of(s) for s in sets]
+        line |= verdict_of(case, found.verdict, found.complete, legs_of(named), open_sets, legs_of(kinds))
         line |= {
             "status": "ok", "verdict": found.verdict, "complete": found.complete, "named": named, "kinds": kinds,
             "values": [{v.name: (v.value, v.lower, v.upper) for v in e.parameters} for e in found.effects],
@@ -118,16 +118,16 @@ def run_case(name: str, seed: int, motors: bool, noise: str, cache: Path, exclud
     return line
 
 
-def _in_a_process(name: str, seed: int, asked: argparse.Namespace) -> Line:
-    """One case in a process of its own, which is ended when it takes too long."""
-    command = [__file__, "--one", name, str(seed), "--noise", asked.noise, "--cache", str(asked.cache)]
-    command += [*(["--torques"] if asked.torques else []), *(["--exclude", *asked.exclude] if asked.exclude else [])]
-    line = in_child(command, "", wall=asked.limit)
+def _in_a_process(name: str, seed: int, args: argparse.Namespace) -> Line:
+    """Run one case in its own process, with a time limit."""
+    command = [__file__, "--one", name, str(seed), "--noise", args.noise, "--cache", str(args.cache)]
+    command += [*(["--torques"] if args.torques else []), *(["--exclude", *args.exclude] if args.exclude else [])]
+    line = in_child(command, "", wall=args.limit)
     return line if "refused" not in line else {"status": "lost", "error": line["refused"]}
 
 
 def report(lines: Iterable[Line]) -> str:
-    """Table of the classes, and the figures that the project asks for."""
+    """Return the table of the classes and the summary figures."""
     by_class: dict[str, list[Line]] = defaultdict(list)
     for line in lines:
         by_class[line["name"]].append(line)
@@ -158,7 +158,7 @@ def report(lines: Iterable[Line]) -> str:
         rows.append(f"nothing missing -> a name: {wrong} of {len(silent)} ({100 * wrong / len(silent):.0f} %)")
     before = [x["gap_before"] / x["gap_after"] for x in single if x.get("right") and x.get("gap_after")]
     if before:
-        rows.append(f"held-out gap shrinks by (median of what is right): {np.median(before):.1f}")
+        rows.append(f"held-out model error falls by a factor of (median of the right cases): {np.median(before):.1f}")
     return "\n".join(rows)
 
 
@@ -177,35 +177,35 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--again", action="store_true", help="run what the store has, too")
     parser.add_argument("--report", action="store_true", help="run nothing: print the figures of what --store holds")
     parser.add_argument("--one", nargs=2, metavar=("CLASS", "SEED"), help=argparse.SUPPRESS)
-    asked = parser.parse_args(argv)
-    if asked.one:
-        name, seed = asked.one
-        print(json.dumps(run_case(name, int(seed), not asked.torques, asked.noise, asked.cache, asked.exclude)))
+    args = parser.parse_args(argv)
+    if args.one:
+        name, seed = args.one
+        print(json.dumps(run_case(name, int(seed), not args.torques, args.noise, args.cache, args.exclude)))
         return
-    possible = names(not asked.torques)
-    if strange := set(asked.only or ()) - set(possible):
+    possible = names(not args.torques)
+    if strange := set(args.only or ()) - set(possible):
         parser.error(f"no class {', '.join(sorted(strange))}: {', '.join(possible)}")
-    wanted = seeds(asked.seeds)
-    if set(wanted) & set(LAST) and not asked.last:
+    wanted = seeds(args.seeds)
+    if set(wanted) & set(LAST) and not args.last:
         parser.error(f"seeds {LAST[0]}-{LAST[-1]} are run once, at the very end: --last")
-    kind = f"{'torques' if asked.torques else 'motors'} | {asked.noise}"
-    keys = {f"{n} | {s} | {kind}": (n, s) for s in wanted for n in asked.only or possible}
-    done, began = {line["key"]: line for line in json_lines([asked.store])}, time.time()
-    asked.store.parent.mkdir(parents=True, exist_ok=True)
+    kind = f"{'torques' if args.torques else 'motors'} | {args.noise}"
+    keys = {f"{n} | {s} | {kind}": (n, s) for s in wanted for n in args.only or possible}
+    done, began = {line["key"]: line for line in json_lines([args.store])}, time.time()
+    args.store.parent.mkdir(parents=True, exist_ok=True)
     for number, (key, (name, seed)) in enumerate(keys.items(), 1):
-        if asked.report or (key in done and not asked.again) or time.time() - began > 60 * asked.minutes:
+        if args.report or (key in done and not args.again) or time.time() - began > 60 * args.minutes:
             continue
-        line = {"key": key, "name": name, "seed": seed, **_in_a_process(name, seed, asked)}
+        line = {"key": key, "name": name, "seed": seed, **_in_a_process(name, seed, args)}
         if "truth" not in line:
-            line["truth"] = cached_case(asked.cache, name, seed, motors=not asked.torques, noise=asked.noise).truth()
+            line["truth"] = cached_case(args.cache, name, seed, motors=not args.torques, noise=args.noise).truth()
         done[key] = line
-        append(asked.store, line)
+        append(args.store, line)
         legs = line["truth"]["legs"]
-        told = line.get("named", line.get("error", "")[-200:])
+        found = line.get("named", line.get("error", "")[-200:])
         good = "right" if line.get("right") else "SURE WRONG" if line.get("sure_wrong") else "not right"
-        said = f"{line.get('verdict', line['status'])} {told} CPU {line.get('cpu_s', 0.0):.0f} s"
+        text = f"{line.get('verdict', line['status'])} {found} CPU {line.get('cpu_s', 0.0):.0f} s"
         print(
-            f"# {number}/{len(keys)} {time.time() - began:5.0f} s  {name} {seed} at {legs}: {good}, {said}", flush=True
+            f"# {number}/{len(keys)} {time.time() - began:5.0f} s  {name} {seed} at {legs}: {good}, {text}", flush=True
         )
     print(report(done[key] for key in keys if key in done))
 

@@ -1,4 +1,4 @@
-r"""A Stewart platform whose drives may be faulty, simulated without robustlab: the machine behind `platform_cases`.
+r"""Simulate a Stewart platform with faulty drives without robustlab, for `platform_cases`.
 
 The rigid bodies are those of the tests' Pinocchio tree (``tests/oracle/stewart_pinocchio.py``), reduced to the nut
 angles. Its mass matrix and bias torque are evaluated at every sample and interpolated by parabolas in between, where
@@ -7,9 +7,9 @@ they change little; within a sample the drives are integrated in steps of 50 us 
 .. math::
     M \ddot\varphi = k (K_m i - K_f k \dot\varphi) - b - f, \qquad L \frac{di}{dt} = u - R i - K_b k \dot\varphi
 
-Dry friction is an event: the step is cut where a rate passes zero; there the nut either goes on the other way or is
-held (:math:`\dot\varphi_j = 0` as a constraint, its torque solved for) until that torque exceeds the breakaway level.
-Play lies between the rotor, which the encoder sees, and the nut: a spring and damper at either flank, which never pull.
+Dry friction is an event: the step ends where a rate crosses zero. There the nut either reverses or sticks
+(:math:`\dot\varphi_j = 0` as a constraint, its torque solved for) until that torque exceeds the breakaway level.
+Backlash acts between the rotor, which the encoder measures, and the nut: spring and damper, in compression only.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Drives:
     R: Any = 2.07
     L: Any = 0.62e-3
     Kf: Any = 4.8e-5
-    gain: Any = 1.0  # torque per torque asked for, without motors
+    gain: Any = 1.0  # torque per commanded torque, without motors
     viscous: Any = 0.0  # N m s/rad
     coulomb: Any = 0.0  # level when sliding, and what is added at rest, N m
     breakaway: Any = 0.0
@@ -93,7 +93,7 @@ class Cable:
 
 @dataclass(frozen=True)
 class Machine:
-    """Rigid bodies (the oracle's ``Parameters``), drives, and whether these are motors (else torques come as asked)."""
+    """Rigid bodies (the oracle's ``Parameters``), drives, and whether these are motors (else torques are inputs)."""
 
     bodies: Any
     drives: Drives

@@ -1,7 +1,7 @@
-"""What the checker proves of H-infinity designs: ``python benchmarks/verify.py [--most-states 60] [NAME ...]``.
+"""Check the claims of H-infinity designs: ``python benchmarks/verify.py [--most-states 60] [NAME ...]``.
 
-A line a design of the COMPleib plants, smallest gamma and the default: CPU seconds of the norm of its loop, of the
-evidence, of the check; what became of each claim.
+Print one line per design for the COMPleib plants, smallest gamma and default: CPU seconds of the loop's norm, of the
+evidence, of the check; outcome of each claim.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from robustlab.verification import check
 
 
 class Tally:
-    """What became of all claims, and what the checks cost beside the analyses."""
+    """Outcomes of all claims, and the cost of the checks relative to the analyses."""
 
     def __init__(self) -> None:
         self.outcomes: Counter[str] = Counter()
@@ -40,32 +40,32 @@ class Tally:
             return f"{name:52s} {found.status.value}: nothing is claimed"
         _, spent = timed(rl.peak_gain, found.closed_loop)
         claims, made = timed(claims_of, found)
-        said, checked = timed(lambda: [check(claim) for claim in claims])
-        self.outcomes.update(one.outcome.value for one in said)
-        if not said:
+        results, checked = timed(lambda: [check(claim) for claim in claims])
+        self.outcomes.update(one.outcome.value for one in results)
+        if not results:
             self.outcomes["no claims"] += 1
         self.ratios.append((made + checked) / max(spent, 1e-3))
         self.longest = max(self.longest, checked)
-        words = ", ".join(f"{one.outcome.value} ({one.boxes})" for one in said) or "no claims"
-        where = "; ".join(one.where for one in said if one.where)
+        words = ", ".join(f"{one.outcome.value} ({one.boxes})" for one in results) or "no claims"
+        where = "; ".join(one.where for one in results if one.where)
         return f"{name:52s} {spent:8.2f} {made:6.2f} {checked:7.2f}  {words}{': ' if where else ''}{where[:150]}"
 
     def total(self) -> str:
-        told = ", ".join(f"{name} {count}" for name, count in sorted(self.outcomes.items()))
+        counts = ", ".join(f"{name} {count}" for name, count in sorted(self.outcomes.items()))
         ratio = f"evidence and check over analysis: median {np.median(self.ratios):.1f}" if self.ratios else ""
-        return f"{told}; {ratio}; longest check {self.longest:.1f} s"
+        return f"{counts}; {ratio}; longest check {self.longest:.1f} s"
 
 
 def main() -> None:
     given = options(__doc__, "*", most_states=60, data=str(DATA))
     print(heading("numpy", "scipy", "python-flint"))
-    print(f"{'':52s} {'norm':>8s} {'claims':>6s} {'checked':>7s}  CPU seconds; what became of each claim (tests)")
+    print(f"{'':52s} {'norm':>8s} {'claims':>6s} {'checked':>7s}  CPU seconds; outcome of each claim (tests)")
     tally = Tally()
     with one_thread():
         for name, P, about in plants(given.names, given.most_states, Path(given.data)):
             plant = rl.StateSpaceModel(*P.values()), int(about["ny"]), int(about["nu"])
-            for said, rel in (("tight", 1.0), ("default", 1.05)):
-                print(tally.line(f"{name} n={about['n']} {said}", partial(rl.hinf, *plant, gamma_rel=rel)), flush=True)
+            for label, rel in (("tight", 1.0), ("default", 1.05)):
+                print(tally.line(f"{name} n={about['n']} {label}", partial(rl.hinf, *plant, gamma_rel=rel)), flush=True)
     print(tally.total())
 
 

@@ -1,14 +1,14 @@
-"""Mutants of true claims put to the checker `robustlab.verification.checker.check`; each answer that decides is judged.
+"""Test the checker `robustlab.verification.checker.check` with mutants of true claims; judge every decision.
 
     python benchmarks/verify_attack.py --mutants 100000 --seed 1 [--minutes M] [--workers N] [--keep FOLDER] [KIND ...]
 
 `verify_claims` makes true claims of every kind (models of 0 to 4 states, some 8) with the library's own
 evidence, `verify_mutants` changes them, `verify_judge` judges what was proved or refuted in rationals and balls,
-with nothing of the checker. What is not proved needs no judge. Found wrong are:
+independently of the checker. Undecided claims need no judge. Errors are:
 
-false         proved, and a counterexample is known; or refuted, and rationals say that it is true
-unjustified   proved, and the evidence does not carry it: a gap, a wrong structure, a form that is not definite
-unconfirmed   a Delta was proved to exist, or to refute, and Newton's steps in balls did not find it
+false         proved despite a known counterexample; or refuted although true in rationals
+unjustified   proved without sufficient evidence: a gap, a wrong structure, a form that is not definite
+unconfirmed   a Delta was proved to exist, or to refute, and Newton's method in balls did not find it
 crash         an exception out of `check`
 
 A piece of work is a chunk of about a thousand mutants; chunk c of a seed needs no other one. Results go to
@@ -58,7 +58,7 @@ Row = tuple[str, str, str, float]  # kind, answer, what is wrong, seconds
 
 
 def answers(seed: int, chunk: int, keep: Path | None = None, kinds: Sequence[str] = tuple(PLAN)) -> Iterator[Row]:
-    """All claims of a chunk, the true ones first, each with its answer and what the judge says."""
+    """Yield all claims of a chunk, the true ones first, each with its answer and the judge's result."""
     rng, pool = np.random.default_rng([seed, chunk]), {}
     plan = [kind for kind, count in PLAN.items() for _ in range(count) if kind in kinds]
     for kind in rng.permutation(plan).tolist():
@@ -71,22 +71,24 @@ def answers(seed: int, chunk: int, keep: Path | None = None, kinds: Sequence[str
         other = pool.get(kind, case.numbers)
         pool[kind] = case.numbers
         for i in range(EACH + 1):
-            told, new, numbers = ("as it is", kind, case.numbers) if i == 0 else mutant(rng, kind, case.numbers, other)
+            change, new, numbers = (
+                ("unchanged", kind, case.numbers) if i == 0 else mutant(rng, kind, case.numbers, other)
+            )
             start = time.perf_counter()
-            answer, wrong, text = asked(new, numbers, case.hints)
+            answer, wrong, text = checked(new, numbers, case.hints)
             if wrong:
-                print(f"seed {seed}, chunk {chunk}: {new}, {told}: {answer}, {wrong}: {text}", flush=True)
+                print(f"seed {seed}, chunk {chunk}: {new}, {change}: {answer}, {wrong}: {text}", flush=True)
                 if keep is not None:
                     name = keep / f"{wrong.replace(' ', '-')}-{new}-{seed}-{chunk}-{i}-{kind}.pickle"
-                    name.write_bytes(pickle.dumps((new, numbers, case.hints, told, text)))
+                    name.write_bytes(pickle.dumps((new, numbers, case.hints, change, text)))
             yield new, answer, wrong, time.perf_counter() - start
 
 
-def asked(kind: str, numbers: dict[str, Any], hints: tuple[Any, ...]) -> tuple[str, str, str]:
-    """The checker's answer, what is wrong with it in one of the words of `COLUMNS`, and the judge's words."""
+def checked(kind: str, numbers: dict[str, Any], hints: tuple[Any, ...]) -> tuple[str, str, str]:
+    """Return the checker's answer, its error as a column of `COLUMNS` or "", and the judge's text."""
     try:
         found = check(Claim(kind, numbers), effort=EFFORT)
-    except Exception:  # noqa: BLE001  what gets out of `check` is what is sought
+    except Exception:  # noqa: BLE001  an exception of `check` is an error
         return "crash", "crash", traceback.format_exc()
     if found.outcome is Outcome.NOT_PROVED:
         return "not proved", "", ""
@@ -94,7 +96,7 @@ def asked(kind: str, numbers: dict[str, Any], hints: tuple[Any, ...]) -> tuple[s
     answer = "proved" if proved else "refuted"
     try:
         text = judge(kind, numbers, proved, hints)
-    except Exception:  # noqa: BLE001  a judge that fails has not judged: that is counted
+    except Exception:  # noqa: BLE001  counted as a failed judge
         return answer, "judge failed", traceback.format_exc()
     if not text:
         return answer, "", ""
@@ -108,7 +110,7 @@ def chunk_of(task: tuple[int, int, Path | None, Sequence[str]]) -> list[Row]:
 
 
 def campaign(given: Any) -> tuple[dict[str, Counter[str]], float]:
-    """Counts by kind, and the seconds that it took."""
+    """Return counts by kind, and the time in s."""
     start, done, reported = time.perf_counter(), 0, 0
     counts: dict[str, Counter[str]] = defaultdict(Counter, {kind: Counter() for kind in PLAN})
     tasks = (

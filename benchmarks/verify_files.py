@@ -1,11 +1,11 @@
-"""Files of results with everything edited but their claims, put to `robustlab.verify`: none may be accepted.
+"""Test `robustlab.verify` with result files whose contents except the claims are edited: none may be accepted.
 
     python benchmarks/verify_files.py --mutants 10000 --seed 1
 
 A mutant changes numbers (one bit to a factor, sign, zero, NaN), texts (names, units, laws), attributes (dt, gamma,
 status, kind), shapes, or leaves out, adds, renames or exchanges datasets and groups; the content hash is old, absent or
-made anew. One of ten changes what the result stands for, and the digest in its claims is made anew, too: there the
-comparison with the claims alone has to find it. ``provenance``, which no hash covers, stays as it is.
+recomputed. One of ten changes the result itself and recomputes the digest in its claims, too, so that only the
+comparison with the claims can detect it. ``provenance``, which no hash covers, stays unchanged.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def sources() -> dict[str, Any]:
 
 
 def changed(rng: Rng, x: Any) -> Any:
-    """An entry of an array changed by one bit to a factor, or to another text."""
+    """Return the array with one entry changed by one bit to a factor, or to another text."""
     X, at = np.array(x), tuple(int(rng.integers(s)) for s in np.shape(x))
     if X.dtype.kind == "U":
         X = X.astype(object)
@@ -67,7 +67,7 @@ def changed(rng: Rng, x: Any) -> Any:
 
 
 def edited(rng: Rng, tree: Tree) -> str:
-    """Change one thing of a tree in place; say what."""
+    """Change one item of a tree in place and return the type of change."""
     groups = [x for p, x in tree.walk() if isinstance(x, Tree) and p.split("/")[1] not in KEPT]
     node = groups[int(rng.integers(len(groups)))]
     names, held = list(node.datasets), [k for k in node.attrs if k != "content_sha256"]
@@ -99,11 +99,11 @@ def edited(rng: Rng, tree: Tree) -> str:
 
 
 def made_anew(rng: Rng, tree: Tree) -> str:
-    """Change what the result stands for by more than its claim's rounding, and make the digest anew."""
+    """Change a number of the result by more than its claim's rounding, and recompute the digest."""
     controller = tree.attrs["kind"] == "controller"
     rules = CONTROLLER if controller else SHOWN[str(tree.attrs["type"])]
     top = tree if controller else tree.groups["data"]
-    # How far inside a cover's set a model is, no claim says; and a gain that is attained may be told lower.
+    # No claim states the distance of a model to the boundary of a cover; an attained gain may be reported lower.
     found = [(r, x) for path, r in rules.items() if r != "inside" for _, x in places_at(top, path)]
     if not found:
         return edited(rng, tree)
@@ -119,7 +119,7 @@ def made_anew(rng: Rng, tree: Tree) -> str:
 
 
 def mutant(rng: Rng, tree: Tree) -> tuple[str, Tree]:
-    """What was changed, and the tree; what says the same as before does not count."""
+    """Return the type of change and the tree; repeat until the content differs."""
     while True:
         new = deepcopy(tree)
         what = made_anew(rng, new) if rng.random() < 0.1 else edited(rng, new)

@@ -33,7 +33,7 @@ MULTIPLES = 25  # of a given Delta, of each sign, that are tried where the neare
 
 
 def judge(kind: str, numbers: Numbers, proved: bool, hints: Sequence[Any] = (), seed: int = 0) -> str:
-    """What is wrong with the answer; empty where nothing was found.
+    """Return the error of the answer; empty if none is found.
 
     ``proved``: the claim was proved, else it was refuted.
     ``hints``: Deltas next to which a counterexample may be.

@@ -1,6 +1,6 @@
-"""What mutations make of a claim: one number or many changed, evidence cut, blocks, models and kinds exchanged.
+"""Mutate claims: change one number or many, cut evidence, exchange blocks, models and kinds.
 
-Levels move mostly towards what is false, and by as little as 1e-12; structured numbers (P, D, G) are changed with their
+Levels move mostly towards false claims, by as little as 1e-12; structured numbers (P, D, G) are changed with their
 structure as often as against it, so that a mutant gets beyond the first test.
 """
 
@@ -52,7 +52,7 @@ def one_number(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant 
 
 
 def kept_structure(name: str, at: tuple[Any, ...], X: Any, result: Numbers) -> None:
-    """The same change where the structure asks for it: P symmetric, D and G Hermitian, D_z like D_w."""
+    """Apply the same change where the structure requires it: P symmetric, D and G Hermitian, D_z like D_w."""
     if name in ("P", "P_low"):
         X[(*at[:-2], at[-1], at[-2])] = X[at]
     elif name in ("D_w", "D_z", "G") and "blocks" in result:
@@ -357,7 +357,7 @@ def hidden(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | No
 
 
 def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """A dataset that belongs to claims of another kind, beside those of this one."""
+    """Add a dataset that belongs to claims of another kind."""
     made: Numbers = {
         "band": np.sort(10 ** rng.uniform(-2, 2, 2)), "size": np.array(10 ** rng.uniform(-3, 0)),
         "tolerance": np.array(10 ** rng.uniform(-9, 1)), "frequency": np.array(10 ** rng.uniform(-2, 2)),
@@ -370,18 +370,18 @@ def stray(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | Non
         for (_, r, c), w, z in zip(table.tolist(), slices(table, 1), slices(table, 2), strict=True):
             delta[w, z] = np.eye(r, c) * rng.normal()
         return kind, {**numbers, "delta": delta}
-    if name == "model" and "P_A" in numbers:  # a model beside a loop, of the size of the loop's open channels
+    if name == "model" and "P_A" in numbers:  # a model added to a loop, of the size of the loop's open channels
         y, u = int(numbers["n_meas"]), int(numbers["n_con"])
         p, m = (a - b for a, b in zip(np.shape(numbers["P_D"]), (y, u), strict=True))
         plain = {"A": -np.eye(2), "B": rng.normal(size=(2, max(m, 0))), "C": rng.normal(size=(max(p, 0), 2))}
         return kind, {**numbers, **plain, "D": np.zeros((max(p, 0), max(m, 0)))}
-    if name == "loop" and {*"ABCD"} <= {*numbers}:  # a loop beside a model
+    if name == "loop" and {*"ABCD"} <= {*numbers}:  # a loop added to a model
         A, B, C, D = (np.asarray(numbers[x]) for x in "ABCD")
         loop = {"P_A": A - np.eye(len(A)), "P_B": np.pad(B, ((0, 0), (0, 1))), "P_C": np.pad(C, ((0, 1), (0, 0)))}
         loop |= {"P_D": np.pad(D, ((0, 1), (0, 1))), "K_A": np.zeros((0, 0)), "K_B": np.zeros((0, 1))}
         one = np.array(1, dtype=np.int64)
         return kind, {**numbers, **loop, "K_C": np.zeros((1, 0)), "K_D": np.zeros((1, 1)), "n_meas": one, "n_con": one}
-    if name == "difference" and {*"ABCD"} <= {*numbers}:  # a difference beside a model
+    if name == "difference" and {*"ABCD"} <= {*numbers}:  # a difference added to a model
         half = {f"{x}1": np.asarray(numbers[x]) * (0.5 if x in "CD" else 1.0) for x in "ABCD"}
         p, m = np.shape(numbers["D"])
         none = {"A2": np.zeros((0, 0)), "B2": np.zeros((0, m)), "C2": np.zeros((p, 0)), "D2": np.zeros((p, m))}
@@ -400,7 +400,7 @@ AXIS = ("mu-axis", "worst-gain", "unstable-member", "mu-boxes", "worst-gain-boxe
 
 
 def exchanged(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> Mutant | None:
-    """The kind of claim, with what it needs made of what there is."""
+    """Change the kind of claim, and derive its datasets from the existing ones."""
     families = (PLAIN, AXIS, ("mu-upper", "mu-lower"))
     own = next((f for f in families if kind in f), None)
     if own is None:
@@ -429,10 +429,10 @@ WEIGHTS: dict[Callable[..., Mutant | None], float] = {
 
 
 def mutant(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> tuple[str, str, Numbers]:
-    """The mutations' names, the kind and the datasets of a mutant."""
+    """Return the mutations' names, the kind and the datasets of a mutant."""
     weights, mutations = np.array([*WEIGHTS.values()]), [*WEIGHTS]
-    told: list[str] = []
-    while not told or rng.random() < TWICE:
+    names: list[str] = []
+    while not names or rng.random() < TWICE:
         change = mutations[int(rng.choice(len(weights), p=weights / weights.sum()))]
         try:
             made = change(rng, kind, numbers, other)
@@ -440,5 +440,5 @@ def mutant(rng: Rng, kind: str, numbers: Numbers, other: Numbers) -> tuple[str, 
             made = None  # the claim lacks what it would change, or an earlier mutation took it away
         if made is not None:
             kind, numbers = made
-            told.append(change.__name__)
-    return " + ".join(told), kind, numbers
+            names.append(change.__name__)
+    return " + ".join(names), kind, numbers

@@ -120,7 +120,7 @@ def __getattr__(name: str) -> Any:
         return robustlab_version()
     if name in _PUBLIC:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
-    if name.startswith("_"):  # asked for by Python itself
+    if name.startswith("_"):  # requested by Python itself
         raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
     from robustlab.name_hints import unknown_public_name
 

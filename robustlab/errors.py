@@ -11,7 +11,7 @@
     └── EnvironmentFault    (OSError)       5    disk, permissions, a missing package
         └── DependencyMissing               5    an optional package is not installed
 
-Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 a bug of ours,
+Exit code 0 means done and all requirements met, 1 done but a stated requirement is not met, 70 an internal error,
 130 Ctrl-C or SIGTERM, 141 the reader of stdout closed it before the end of the result (``| head -1``).
 
 Every message has WHERE, FOUND and EXPECTED on one line; the hint is the next step.

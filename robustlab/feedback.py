@@ -72,9 +72,9 @@ def closing(
             raise InputError(f"{where}: sign", f"{sign} ({SIGNS[int(sign or 0)]})", f"{recorded}: {law(taken)}", hint)
         return FeedbackLoop(p, k, _sign(recorded), f"{law(taken)}, as the controller says")
     if sign is not None:
-        return FeedbackLoop(p, k, _sign(sign), f"{SIGNS[sign]}, as asked")
+        return FeedbackLoop(p, k, _sign(sign), f"{SIGNS[sign]}, as requested")
     if recorded is None and assumed is not None:
-        return FeedbackLoop(p, k, assumed, f"{SIGNS[assumed]}, {WORDS[assumed]} feedback; nothing else is said of it")
+        return FeedbackLoop(p, k, assumed, f"{SIGNS[assumed]}, {WORDS[assumed]} feedback by default")
     return _by_stability(p, k, signed.inputs, where)
 
 
@@ -231,11 +231,11 @@ def _by_stability(plant: Any, k: Any, takes: Sequence[Signal], where: str) -> Fe
     mismatch = f"it takes {listed(_label(s) for s in takes)}, this plant has {listed(s.name for s in plant.outputs)}"
     doubt = mismatch if any(isinstance(s, Taken) for s in takes) else "the controller does not say its sign"
     if one is None or other is None:
-        raise InputError(f"{where}: sign of the feedback", doubt, "one that is said", STATE_SIGN)
+        raise InputError(f"{where}: sign of the feedback", doubt, "an explicit sign", STATE_SIGN)
     stable = [s for s in (-1, 1) if _stable(one, other, s)]
     if len(stable) == 2:
         found = f"{doubt}, and both signs leave the loop stable"
-        raise InputError(f"{where}: sign of the feedback", found, "one that is said", STATE_SIGN)
+        raise InputError(f"{where}: sign of the feedback", found, "an explicit sign", STATE_SIGN)
     sign = _sign(stable[0] if stable else -1)
     why = "only this sign leaves the loop stable" if stable else f"{doubt}, and no sign leaves the loop stable"
     return FeedbackLoop(plant, k, sign, f"{SIGNS[sign]}: {why}")

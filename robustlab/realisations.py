@@ -233,7 +233,7 @@ def ss(
     model = _converted(A)
     if dt:
         hint = "rl.discretise(rl.d2c(G), dt): another sample time"
-        raise InputError("ss", f"dt = {dt!r} beside a model", "its own", hint)
+        raise InputError("ss", f"dt = {dt!r} with a model", "its own", hint)
     given = {"inputs": inputs, "outputs": outputs}
     return model.renamed(**given) if any(given.values()) else model
 

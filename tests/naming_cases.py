@@ -1,4 +1,4 @@
-"""Small records of an event-driven integrator, and what `discover` says of them with few effects."""
+"""Small records of an event-driven integrator, and the result of `discover` with few effects."""
 
 from functools import cache
 
@@ -47,7 +47,7 @@ def machine(friction=0.0, load=0.0, seed=0, seen=("q", "v"), sign=1.0, mass=1.0,
 
 @cache
 def discovered(record, tried=USUAL, plant=AXIS, **options) -> Discovery:
-    """What `discover` says with these effects."""
+    """Return the result of `discover` with these effects."""
     return rl.discover(plant, record, exclude=all_but(*tried), **options)
 
 

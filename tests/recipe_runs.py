@@ -29,5 +29,5 @@ def numbers(result, step):
 
 
 def unmet(result):
-    """What the requirements judge that are not met."""
+    """Return the values of the requirements that are not met."""
     return {q["that"] for q in result.data["requirements"] if not q["met"]}

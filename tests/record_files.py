@@ -7,7 +7,7 @@ import numpy as np
 
 
 def matlab73(path, variables):
-    """A version 7.3 file as MATLAB lays it out: structs are groups, elements of struct arrays lie in ``#refs#``."""
+    """A version 7.3 file as MATLAB lays it out: structs are groups, elements of struct arrays are in ``#refs#``."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in variables.items():
             _put(file, file, name, value)

@@ -1,7 +1,7 @@
-"""Models whose unstable and boundary modes have huge gains, and what their reduction claims, judged in balls.
+"""Judge in balls the claims of reductions of models whose unstable and boundary modes have huge gains.
 
-The judge uses nothing of robustlab: it evaluates both models as stored in balls of 60 digits, on a grid, beside every
-pole, and at the ends of what the result leaves out. False: a certified error that is exceeded by 1e-9 of it.
+The judge uses nothing of robustlab. It evaluates both stored models in balls of 60 digits: on a grid, near every pole,
+and at the ends of the intervals that the result leaves out. False: the error exceeds its certified bound by 1e-9.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ KINDS = (
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A model, and what is asked for."""
+    """A model and a requested reduction."""
 
     model: rl.StateSpaceModel
     order: int
@@ -41,8 +41,8 @@ class Case:
 
 def mode(kind: str, rng: np.random.Generator) -> np.ndarray:
     w = 10 ** rng.uniform(-1, 1)
-    beside = w * 10 ** rng.uniform(-12, -4)
-    real = {"undamped": 0.0, "unstable pair": 0.1 * w, "nearly undamped": -beside, "barely unstable": beside}
+    near = w * 10 ** rng.uniform(-12, -4)
+    real = {"undamped": 0.0, "unstable pair": 0.1 * w, "nearly undamped": -near, "barely unstable": near}
     if kind in real:
         return np.array([[real[kind], w], [-w, real[kind]]])
     return {"integrator": [[0.0]], "double integrator": [[0.0, 1.0], [0.0, 0.0]], "unstable": [[w]]}[kind]
@@ -89,7 +89,7 @@ def entries(m: acb_mat) -> np.ndarray:
 
 
 def exactly(m: rl.StateSpaceModel) -> Callable[[float], acb_mat]:
-    """The response of the stored matrices at a frequency, in balls."""
+    """Return the response of the stored matrices at a frequency, in balls."""
     A, B, C, D = (acb_mat(*x.shape, [acb(float(y)) for y in x.ravel()]) for x in (m.A, m.B, m.C, m.D))
     n = m.n_states
     eye = acb_mat(n, n, [acb(int(i == j)) for i in range(n) for j in range(n)])
@@ -108,21 +108,21 @@ def frequencies(models: list[rl.StateSpaceModel], rng: np.random.Generator) -> n
         poles = np.log(poles[np.abs(poles) > 1e-9]) / dt
     scale, found = np.abs(poles).max(), [np.geomspace(1e-3, 1e3, 25) * 10 ** rng.uniform(-0.1, 0.1)]
     for centre in np.unique(np.abs(poles.imag)):
-        beside = 10.0 ** rng.uniform(-15, -0.5, 10) * (centre if centre > 1e-6 * scale else scale)
-        found += [centre + beside, centre - beside]
+        near = 10.0 ** rng.uniform(-15, -0.5, 10) * (centre if centre > 1e-6 * scale else scale)
+        found += [centre + near, centre - near]
     omega = np.abs(np.concatenate(found))
     return omega[(omega > 0) & (omega < (np.pi / dt if dt else np.inf))]
 
 
 def run(seed: int) -> dict[str, Any]:
-    """What is claimed for a case, and the largest difference seen where it is claimed."""
+    """Return the claims about a case, and the largest difference at the frequencies that they cover."""
     case, rng = make_case(seed), np.random.default_rng([seed, 1])
-    told: dict[str, Any] = {"seed": seed, "words": case.words}
+    record: dict[str, Any] = {"seed": seed, "words": case.words}
     try:
         found = rl.reduce_model(case.model, case.order, **case.options)
     except rl.RobustlabError as error:
-        return told | {"status": "refused", "reason": str(error).splitlines()[0]}
-    told |= {"status": found.status.value, "reason": found.reason}
+        return record | {"status": "refused", "reason": str(error).splitlines()[0]}
+    record |= {"status": found.status.value, "reason": found.reason}
     error = found.error
     omega = frequencies([case.model, found.model], rng)
     ends = np.array(found.left_out).reshape(-1)
@@ -143,7 +143,7 @@ def run(seed: int) -> dict[str, Any]:
         radius = sum(float(x.real.rad()) + float(x.imag.rad()) for x in gap.entries())
         worst = max(worst, float(np.linalg.norm(entries(gap), 2)) - radius)
     widths = [(b - a) / (a + b) if a else b for a, b in found.left_out]
-    return told | {
+    return record | {
         "upper": error.upper, "lower": error.lower, "worst": worst, "left_out": len(found.left_out),
         "widest": max(widths, default=0.0), "false": worst > error.upper * (1 + 1e-9),
     }  # fmt: skip

@@ -1,6 +1,6 @@
-"""The same call under load: a snippet in a process of its own, which runs freely or is stopped most of the time.
+"""Run a snippet in a separate process, freely and under load; its output must be equal to the last bit.
 
-What it prints has to be the same to the last bit. The loaded process has another number of BLAS threads as well.
+Under load the process is stopped most of the time, and it has another number of BLAS threads.
 """
 
 import dataclasses
@@ -17,11 +17,11 @@ import numpy as np
 
 __all__ = ["answer", "digest", "same_under_load"]
 
-# Fields that hold how long something took: they are no part of an answer.
+# Fields with computing times, which are not compared.
 TIMES = {"seconds"}
-# What a busy machine does to a process, done by a child of its own: it is stopped for three quarters of the time. Busy
-# loops would take the processor from other tests, and at a low priority it would starve beside them. The child lets the
-# process go on before it looks whether it is to end.
+# A child process stops the process for three quarters of the time, as a busy machine would. Busy loops would take the
+# processor from other tests, and low priority would starve. The child continues the process before it checks for its
+# own end.
 STOPPING = """
 import os, select, signal, time
 process = os.getppid()
@@ -32,7 +32,7 @@ while True:
     if select.select([0], [], [], 0.01)[0]:
         break
 """
-# What is imported and compiled at the first call comes before the load: it would take most of the time.
+# Imports and compilation of the first call run before the load, because they would take most of the time.
 FRAME = """
 import contextlib, io, subprocess, sys
 import numpy as np
@@ -53,7 +53,7 @@ finally:
 
 
 def answer(snippet: str, *, loaded: bool = False, seconds: float = 600.0) -> str:
-    """What a snippet prints; it finds ``rl``, ``np`` and ``digest``."""
+    """Return the output of a snippet, which may use ``rl``, ``np`` and ``digest``."""
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         environment.pop(name, None)
@@ -68,7 +68,7 @@ def answer(snippet: str, *, loaded: bool = False, seconds: float = 600.0) -> str
 
 
 def same_under_load(snippet: str, seconds: float = 600.0) -> str:
-    """What the snippet prints, once it has printed the same with and without load, each within ``seconds``."""
+    """Return the output of the snippet after checking that it is equal with and without load."""
     idle, loaded = answer(snippet, seconds=seconds), answer(snippet, loaded=True, seconds=seconds)
     assert idle == loaded
     assert idle.strip()
@@ -76,7 +76,7 @@ def same_under_load(snippet: str, seconds: float = 600.0) -> str:
 
 
 def digest(*values: Any) -> str:
-    """A number for all bits of results: arrays, models, dataclasses and what they hold, but for how long it took."""
+    """Return a hash of all bits of results (arrays, models, dataclasses) except computing times."""
     state = hashlib.sha256()
     for piece in _pieces(values):
         state.update(piece)

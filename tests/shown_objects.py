@@ -1,4 +1,4 @@
-"""One small object of every class that shows itself; each is made when it is asked for."""
+"""One small object of every class with a display; each is made at its first use."""
 
 from functools import cache
 from pathlib import Path
@@ -180,9 +180,9 @@ def controlled_runs() -> Any:
 def tracking_loop() -> Any:
     from robustlab.synthesis import TrackingLoop, tracking_problem
 
-    asked = tracking_problem(lag(), ["y"], ["y"], W1=rl.performance_weight(1.0, 0.01, 2.0), W2=0.1)
-    design = rl.hinf(asked.plant)
-    return TrackingLoop(asked, design, design.gamma)
+    problem = tracking_problem(lag(), ["y"], ["y"], W1=rl.performance_weight(1.0, 0.01, 2.0), W2=0.1)
+    design = rl.hinf(problem.plant)
+    return TrackingLoop(problem, design, design.gamma)
 
 
 def critical_response() -> Any:

@@ -1,4 +1,4 @@
-"""Blind test data for naming a missing effect: machines with something hidden in them.
+"""Blind test data for effect identification: machines with hidden effects.
 
 Independent of robustlab's own simulation and effects on purpose: another integrator with finer steps, another
 parametrisation of every effect (bristles, contacts, thermal masses). Of robustlab only `Record` and `plant` are used.
@@ -11,6 +11,6 @@ parametrisation of every effect (bristles, contacts, thermal masses). Of robustl
 
 from .cases import NOISE, Case, make_case
 from .effects import NothingInCommon
-from .families import ANYWHERE, CURRENT_ONLY, FAMILIES, Family, told
+from .families import ANYWHERE, CURRENT_ONLY, FAMILIES, Family, merged
 
-__all__ = ["ANYWHERE", "CURRENT_ONLY", "FAMILIES", "NOISE", "Case", "Family", "NothingInCommon", "make_case", "told"]
+__all__ = ["ANYWHERE", "CURRENT_ONLY", "FAMILIES", "NOISE", "Case", "Family", "NothingInCommon", "make_case", "merged"]

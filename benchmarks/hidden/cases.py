@@ -1,4 +1,4 @@
-"""Blind cases: a machine with hidden effects, what was measured on it, and what its maker knows."""
+"""Blind cases: a machine with hidden effects, its measurements, and the nominal model."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ RECORD, HELD_OUT, REPEAT, EXPERIMENT = range(4)  # runs, each with noise of its 
 
 @dataclass(frozen=True)
 class Case:
-    """One blind case. What a namer may see: ``plant``, ``record``, and ``repeat`` where it asks for one.
+    """One blind case. An identification method may use ``plant``, ``record``, and on request ``repeat``.
 
-    ``*_clean``: what the machine answers to the *logged* input, output name -> (n,), with all its effects, without
-    disturbance, noise and rounding. Effects come on top of what is perturbed; "none" has none.
+    ``*_clean``: response of the machine to the *logged* input, output name -> (n,), with all effects, without
+    disturbance, noise and rounding. Effects are added to the perturbed parameters; "none" has none.
     """
 
     plant: Any  # the user's nominal model with its tolerances

@@ -1,4 +1,4 @@
-"""What can hide in a machine: how large it is drawn, and what it changes.
+"""Hidden effects of a machine: their random sizes and their action.
 
 Draws are in a motor's units (N m, rad, s, V, A); `Setting.torque` and `Setting.length` carry them over to an axis in
 metres. Every effect reads its parameters from a dict, so that a test can set them instead of drawing them.
@@ -24,7 +24,7 @@ STIFF = 3e-5
 
 @dataclass(frozen=True)
 class Timeline:
-    """What happens by the clock, alike in every run of a machine: load torque (n,) and whether the driver works."""
+    """Functions of time, equal in every run of a machine: load torque (n,) and whether the driver works."""
 
     load: Array
     alive: Array
@@ -32,7 +32,7 @@ class Timeline:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a draw may look at: the effect-free machine with its true values, the record's and the held-out input."""
+    """Input of a random draw: the effect-free machine with its true values, the record's and the held-out input."""
 
     setup: Setup
     machine: Machine
@@ -410,7 +410,7 @@ def _stop_of_a_spring(r: np.random.Generator, s: Setting) -> Parameters:
     return {**_end_stop(r, s), "stiffness": s.machine.k * r.uniform(0.5, 3), "hc": r.uniform(0.1, 0.3) / s.speed / 150}
 
 
-def _ripple_beside_a_resonance(r: np.random.Generator, s: Setting) -> Parameters:
+def _ripple_near_resonance(r: np.random.Generator, s: Setting) -> Parameters:
     p = _ripple(r, s)
     beyond = max(1.0, (2 * math.pi * p["frequency"]) ** 2 * s.machine.J1 / s.machine.k)
     return {**p, "A": beyond * s.setup.largest * r.uniform(0.02, 0.06)}
@@ -433,7 +433,7 @@ OF_A_PLANT: Mapping[str, Mapping[str, Hidden]] = {
                                    EFFECTS["one-sided-spring"].put),
         "bouc-wen": Hidden(lambda r, s: {**_bouc_wen(r, s), "k": s.machine.k * r.uniform(0.03, 0.1),
                                          "yield": s.reach * r.uniform(0.1, 0.3)}, EFFECTS["bouc-wen"].put),
-        "torque-ripple": Hidden(_ripple_beside_a_resonance, EFFECTS["torque-ripple"].put),
+        "torque-ripple": Hidden(_ripple_near_resonance, EFFECTS["torque-ripple"].put),
     },
     "two-mass": {
         "inertia": Hidden(lambda r, s: {"factor": _either(r, (0.6, 0.78), (1.25, 1.6)),

@@ -1,4 +1,4 @@
-"""Which effects are asked for on which machine, and which records cannot tell them apart."""
+"""Effects of each machine family, and the effects that its records cannot distinguish."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 from .effects import EFFECTS, MOTOR_ONLY, OUTSIDE_EFFECTS
 
-# A constant offset of the angle is no more than another zero on a plant that integrates; a current shows it.
+# On an integrating plant a constant offset of the angle only shifts the origin; a measured current shows it.
 CURRENT_ONLY = ("sensor-bias",)
 
-# With a spring and a stroke of its own: no gear, no shaft, nothing that repeats over the position.
+# With its own spring and stroke: no gear, no shaft, no effect periodic in the position.
 OSCILLATOR = (
     "inertia", "viscous-friction", "stiffness", "coulomb-friction", "asymmetric-viscous-friction", "constant-load",
     "quadratic-drag", "input-delay", "input-dead-zone", "input-saturation", "input-gain", "sensor-gain", "sensor-bias",
     "sensor-delay", "cubic-stiffness", "end-stop", "actuator-lag", "asymmetric-coulomb-friction", "bouc-wen",
     "torque-ripple", "one-sided-spring", "magnitude-sensor",
 )  # fmt: skip
-# It has its shaft already, and no friction of its own to be uneven; springs to ground are no part of such a drive, but
-# stops and a pendulum on it are.
+# The model has a shaft and no friction of its own. Springs to ground do not occur in such a drive; stops and a pendulum
+# do.
 TWO_MASS = (
     "inertia", "viscous-friction", "stiffness", "coulomb-friction", "stribeck-friction", "presliding",
     "constant-load", "quadratic-drag", "position-dependent-friction", "cogging",
@@ -57,9 +57,9 @@ TWO_MASS_PAIRS = (
     ("inertia", "quadratic-drag"), ("end-stop", "coulomb-friction"),
 )  # fmt: skip
 
-# Exact twins, which no record of the family tells apart, told in one way of saying it: one output of a linear plant
-# shows a gain, or a delay, at its input as it does at its sensor; on a spring a constant load moves the rest position
-# as a bias does; and a friction level that depends on the direction is an even one and a constant load.
+# Equivalent effects, which no record of the family distinguishes, and the name used for them. One output of a linear
+# plant shows a gain or a delay at its input and at its sensor alike. On a spring a constant load shifts the equilibrium
+# as a bias does. A friction level that depends on the direction equals a symmetric one and a constant load.
 ANYWHERE = {"asymmetric-coulomb-friction": ("coulomb-friction", "constant-load")}
 ONE_OUTPUT = {**ANYWHERE, "sensor-gain": ("input-gain",), "sensor-delay": ("input-delay",)}
 ON_A_SPRING = {**ONE_OUTPUT, "sensor-bias": ("constant-load",)}
@@ -67,7 +67,7 @@ ON_A_SPRING = {**ONE_OUTPUT, "sensor-bias": ("constant-load",)}
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of machine with its sensors: the classes that are judged on it, and what is an exact twin of what."""
+    """A machine with its sensors, the effects tested on it, and the equivalent effects."""
 
     plant: str
     current: bool
@@ -77,8 +77,8 @@ class Family:
     twins: Mapping[str, tuple[str, ...]]
 
 
-def told(twins: Mapping[str, tuple[str, ...]], effects: Iterable[str]) -> frozenset[str]:
-    """A set of effects as it is told where exact twins are one."""
+def merged(twins: Mapping[str, tuple[str, ...]], effects: Iterable[str]) -> frozenset[str]:
+    """Return the effects with equivalent ones merged."""
     return frozenset(name for effect in effects for name in twins.get(effect, (effect,)))
 
 

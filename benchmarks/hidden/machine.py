@@ -14,7 +14,7 @@ Dry friction is one LuGre bristle whose level g depends on speed, position, trav
 
 contacts are of Hunt and Crossley, the winding heats by two thermal masses,
 an actuator's lag is advanced exactly and acts with its mean over the step. Steps are classical Runge-Kutta of
-fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush asks for it; the bristle
+fourth order, at most 20 microseconds long and shorter where a contact, a bristle or a brush requires it; the bristle
 alone, which may be as stiff as it likes, is advanced by the exact solution of its equation at the stage's speed. Steps
 end exactly where the delayed input jumps and where the delayed sensor samples, so that delays are exact.
 
@@ -124,7 +124,7 @@ class Machine(NamedTuple):
 
 @dataclass(frozen=True)
 class Run:
-    """What one run gave, each of shape (n,): the logged input, the sensors' readings, the truth behind them."""
+    """Results of one run, each of shape (n,): the logged input, the sensors' readings, the true values."""
 
     u: Array
     y: Array
@@ -331,7 +331,7 @@ def _run(m, u_in, dt, h_max, external, alive, angle_noise, current_noise, lsb, c
         while at < dt:
             new = u[k - late] if k >= late else 0.0
             old = u[k - late - 1] if k >= late + 1 else 0.0
-            asked = old if at < cut_u else new
+            requested = old if at < cut_u else new
             end = dt
             if at < cut_u < end:
                 end = cut_u
@@ -340,10 +340,10 @@ def _run(m, u_in, dt, h_max, external, alive, angle_noise, current_noise, lsb, c
             steps = math.ceil((end - at) / h_max - 1e-9)
             h = (end - at) / steps
             for step in range(steps):
-                if asked > drive:
-                    drive = min(asked, drive + m.slew * h)
+                if requested > drive:
+                    drive = min(requested, drive + m.slew * h)
                 else:
-                    drive = max(asked, drive - m.slew * h)
+                    drive = max(requested, drive - m.slew * h)
                 acting = drive
                 if m.lag > 0.0:
                     left = -math.expm1(-h / m.lag)

@@ -45,7 +45,7 @@ class Setup:
     disturbance: float  # factor on the level's coloured torque
     resonance: tuple[float, float]  # range in Hz of a soft coupling's frequency
     feedback: tuple[float, float] | None  # kp, kd of the position controller; None: never in closed loop
-    reach: float  # within which the controller is asked to move
+    reach: float  # range of the references in closed loop
     electrical: bool
     input: str = "u"
     input_unit: str = "V"

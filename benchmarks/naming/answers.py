@@ -1,4 +1,4 @@
-"""The form in which a program answers, and what it may say.
+"""The file format of a program's answers.
 
 ::
 
@@ -7,10 +7,10 @@
          {"kind": "dry-friction", "at": "omega", "effect": "coulomb-friction", "probability": 0.99}],
        "possible": ["dry-friction", "load"]}}}
 
-``verdict``: "named" (these kinds, and sure), "open" (among ``possible``, none of them sure or not all), "unknown"
-(something is missing that has no name here), "nothing". ``kind`` is one of `robustlab.dynamics.KINDS`; ``effect``,
+``verdict``: "named" (these kinds, certain), "open" (among ``possible``, not all certain), "unknown" (something is
+missing that the catalogue does not contain), "nothing". ``kind`` is one of `robustlab.dynamics.KINDS`; ``effect``,
 ``at`` (a joint's velocity, an input, an output) and ``probability`` may be left out. ``possible``: every kind that may
-be there. ``complete``: false where something remains beside what is named. ``seconds``: of CPU.
+be there. ``complete``: false if something remains that is not named. ``seconds``: of CPU.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ def write_answers(path: Path, program: str, answers: Mapping[str, Any]) -> None:
 
 
 def read_answers(path: Path) -> tuple[str, dict[str, Any]]:
-    """The program and its answers, checked.
+    """Return the program and its answers, checked.
 
-    Raises ValueError: an answer that cannot be judged, with its case and what is wrong with it.
+    Raises ValueError: an invalid answer, with its case and the fault.
     """
     data = json.loads(path.read_text(encoding="utf-8"))
     if data.get("schema") != SCHEMA or not isinstance(data.get("answers"), dict):
         raise ValueError(f"{path}: schema {data.get('schema')!r}, expected {SCHEMA!r} with answers")
-    for case, said in data["answers"].items():
-        if said.get("verdict") not in VERDICTS:
+    for case, answer in data["answers"].items():
+        if answer.get("verdict") not in VERDICTS:
             raise ValueError(
-                f"{path}: case {case}: verdict {said.get('verdict')!r}, expected one of {', '.join(VERDICTS)}"
+                f"{path}: case {case}: verdict {answer.get('verdict')!r}, expected one of {', '.join(VERDICTS)}"
             )
-        named, possible = said.setdefault("named", []), said.setdefault("possible", [])
+        named, possible = answer.setdefault("named", []), answer.setdefault("possible", [])
         for kind in [*(one.get("kind") for one in named), *possible]:
             if kind not in KINDS:
                 raise ValueError(f"{path}: case {case}: kind {kind!r}, expected one of {', '.join(KINDS)}")
-        if (said["verdict"] == "named") != bool(named):
-            raise ValueError(f"{path}: case {case}: verdict {said['verdict']!r} with {len(named)} names")
+        if (answer["verdict"] == "named") != bool(named):
+            raise ValueError(f"{path}: case {case}: verdict {answer['verdict']!r} with {len(named)} names")
     return str(data.get("program", path.stem)), data["answers"]

@@ -1,4 +1,4 @@
-"""Which cases a data set has: every class of six families once, pairs, nothing, outside, poor excitation."""
+"""Cases of a data set: every class of six families once, pairs, nothing, outside, poor excitation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from hidden import FAMILIES, Family, NothingInCommon, make_case, told
+from hidden import FAMILIES, Family, NothingInCommon, make_case, merged
 
 from robustlab.dynamics import KIND_OF
 
@@ -31,7 +31,7 @@ class Entry:
 
 
 def composition(seed: int) -> tuple[Entry, ...]:
-    """All cases of the data set with this seed; which of them are pairs of what, and all draws, follow from it."""
+    """Return all cases of the data set of this seed, which determines all draws."""
     draw = random.Random(seed)
     rows = [(name, *row) for name, family in FAMILIES.items() for row in _of_family(family, draw)]
     draw.shuffle(rows)  # a program that reads them in order, or a part of them, sees a fair sample
@@ -55,7 +55,7 @@ def _of_family(family: Family, draw: random.Random) -> Iterator[tuple[str, str, 
 
 
 def drawn(entry: Entry) -> Any:
-    """The case itself (`hidden.Case`); from a later seed where this one's records cannot both show the effect."""
+    """Return the case (`hidden.Case`); from a later seed if the records of this one do not both show the effect."""
     family = FAMILIES[entry.family]
     for seed in range(entry.seed, entry.seed + AGAIN * 1_000_000, 1_000_000):
         try:
@@ -68,13 +68,13 @@ def drawn(entry: Entry) -> Any:
 
 
 def accepted(entry: Entry) -> list[list[str]]:
-    """The sets of kinds that are right: of what no record of the family can tell apart, any of its names."""
+    """Return the accepted sets of kinds, with all alternatives that no record of the family distinguishes."""
     if entry.condition == "outside":
         return []
     twins = FAMILIES[entry.family].twins
     ways: list[list[str]] = [[]]
     for effect in entry.effects:
-        same = [[effect]] + [list(told(twins, [effect]))] * (effect in twins)
+        same = [[effect]] + [list(merged(twins, [effect]))] * (effect in twins)
         same += [[other] for other, names in twins.items() if names == (effect,)]
         ways = [way + names for way in ways for names in same]
     return [list(way) for way in sorted({tuple(sorted(KIND_OF[name] for name in way)) for way in ways})]

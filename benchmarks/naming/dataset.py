@@ -1,10 +1,10 @@
-"""The files of a data set: a model and two records a case, what is hidden in all of them in one JSON apart.
+"""Files of a data set: a model and two records per case; a separate JSON file has the hidden effects.
 
 ``cases/0001/model.h5`` is a plant in robustlab's format 1 (docs/hdf5-format.md): the matrices A, B, C, D at its root,
 ``signals/{input,state,output}`` with names and units, ``plant/parameters`` with values and relative tolerances.
 ``cases/0001/records.h5`` holds the groups ``record`` (to name from) and ``held_out`` (another input on the same
 machine): ``t`` in s and one dataset a signal with the attributes ``unit`` and ``role`` ("input" or "output").
-``truth.json`` says what is hidden; ``manifest.json`` has a digest of every case's numbers.
+``truth.json`` has the hidden effects; ``manifest.json`` has a digest of every case's numbers.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def make(folder: Path, seed: int, ids: set[str] | None = None) -> dict[str, str]
 
 
 def truth_of(entry: Entry) -> dict[str, Any]:
-    """What is hidden in a case; ``kinds``: every set of kinds that is right, none where the catalogue has no name."""
+    """Return the hidden effects of a case; ``kinds``: every accepted set of kinds, none outside the catalogue."""
     assert entry.condition in CONDITIONS
-    told = {name: getattr(entry, name) for name in ("family", "condition", "excitation")}
-    return {**told, "effects": list(entry.effects), "kinds": accepted(entry)}
+    described = {name: getattr(entry, name) for name in ("family", "condition", "excitation")}
+    return {**described, "effects": list(entry.effects), "kinds": accepted(entry)}
 
 
 def digest(case: Any) -> str:

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 WINDOW, EDGE, EVERY = 31, 60, 5  # samples: of the Savitzky-Golay filter, left out at the ends, thinning
 ORDERS = (1.0, 2.0, 4.0, 7.0, 13.0)  # a unit of length: lines over the position
 MOST_TERMS = 4
-LEAST_SHARE = 0.05  # of what is missing, by a term that is worth a name
+LEAST_SHARE = 0.05  # of the missing rate, for a term to be named
 THRESHOLDS = np.geomspace(3e-3, 0.5, 14)
 
 
@@ -41,7 +41,7 @@ class Problem(NamedTuple):
 
 
 def answer(folder: Path, program: str) -> dict[str, Any]:
-    """The answer of one of the programs to a case."""
+    """Return the answer of one of the programs to a case."""
     began = time.process_time()
     named: list[dict[str, Any]] = []
     for problem in _problems(folder):
@@ -50,12 +50,12 @@ def answer(folder: Path, program: str) -> dict[str, Any]:
             entry = {"kind": kind, "at": problem.joint, "effect": effect}
             if kind not in [n["kind"] for n in named]:
                 named.append(entry)
-    said = {"verdict": "named" if named else "nothing", "named": named, "possible": [n["kind"] for n in named]}
-    return said | {"complete": True, "seconds": round(time.process_time() - began, 3)}
+    result = {"verdict": "named" if named else "nothing", "named": named, "possible": [n["kind"] for n in named]}
+    return result | {"complete": True, "seconds": round(time.process_time() - began, 3)}
 
 
 def _problems(folder: Path) -> list[Problem]:
-    """One for every velocity whose position is measured."""
+    """Return a problem for every velocity whose position is measured."""
     plant = _model(folder / "model.h5")
     with h5py.File(folder / "records.h5") as file:
         record = {name: (np.asarray(d), d.attrs["role"]) for name, d in file["record"].items()}
@@ -88,7 +88,7 @@ def _problems(folder: Path) -> list[Problem]:
 
 
 class Model(NamedTuple):
-    """What the file of a model says: matrices, names, (name, unit) of the states, the largest relative tolerance."""
+    """Contents of a model file: matrices, names, (name, unit) of the states, the largest relative tolerance."""
 
     A: Array
     B: Array
@@ -158,7 +158,7 @@ def _problem(q: Array, v: Array, a: Array, model: Array, u: Array, dt: float, jo
 
 
 def _worth(problem: Problem, chosen: list[str]) -> list[str]:
-    """The terms that carry a share of what is missing; a change of the model's own terms within tolerance is none."""
+    """Return the terms with a relevant share of the missing rate; own terms changed within tolerance do not count."""
     if not chosen:
         return []
     x = np.column_stack([problem.columns[c] for c in chosen])
@@ -209,7 +209,7 @@ def thresholded(labels: Sequence[str], x: Array, y: Array) -> Array:
     for threshold in THRESHOLDS:
         optimizer = ps.STLSQ(threshold=threshold, alpha=1e-6, max_iter=30)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "all coefficients eliminated" is an answer here
+            warnings.simplefilter("ignore")  # "all coefficients eliminated" is a valid result here
             optimizer.fit(x / scale, (y / height)[:, None])
         c = np.asarray(optimizer.coef_).ravel()
         rest = y / height - (x / scale) @ c

@@ -1,10 +1,9 @@
-"""What the answers of a program are worth, as a table: each share with its counts.
+"""Score the answers of a program as a table of shares and counts.
 
-An answer is *right* where its kinds are a set that is right, each kind the hidden effect's own or a wider one
-below the root (a force against the motion, for dry friction); *sure and wrong* where it is named and not right, unless
-it says that something remains and all that it names is hidden. *Open*
-is fair where the truth is among what is possible. Without a name in the catalogue ("outside") an answer is right where
-it is "unknown", or says that something remains.
+An answer is *right* if its effect classes are an accepted set, where each class is that of the hidden effect or a wider
+one below the root (a force against the motion, for dry friction). It is *sure and wrong* if its verdict is "named" and
+it is not right, except for an incomplete answer all of whose names are hidden effects. An *open* answer is fair if the
+possible effects contain the truth. Outside the catalogue an answer is right if it is "unknown" or incomplete.
 """
 
 from __future__ import annotations
@@ -16,20 +15,20 @@ import numpy as np
 
 from robustlab.dynamics import upwards
 
-Said = Mapping[str, Any]
-RESOLVABLE = 3.0  # standard deviations of the noise below which no test on the records tells two sets apart
-ROOTS = ("force",)  # says that something pushes, and no more
-MISSING: Said = {"verdict": "open", "named": [], "possible": [], "complete": False, "missing": True}
+Answer = Mapping[str, Any]
+RESOLVABLE = 3.0  # standard deviations of the noise; the records cannot distinguish two sets below this distance
+ROOTS = ("force",)  # too general: any force
+MISSING: Answer = {"verdict": "open", "named": [], "possible": [], "complete": False, "missing": True}
 
 
-def _covers(told: str, kind: str) -> bool:
-    return told not in ROOTS and told in [k.id for k in upwards(kind)]
+def _covers(named: str, kind: str) -> bool:
+    return named not in ROOTS and named in [k.id for k in upwards(kind)]
 
 
-def _within(told: Sequence[str], kinds: Sequence[str]) -> bool:
-    """Whether the kinds told are some of a set, one for one."""
+def _within(named: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Return whether each named class matches a different one of a set."""
     left = list(kinds)
-    for kind in told:
+    for kind in named:
         own = next((k for k in left if _covers(kind, k)), None)
         if own is None:
             return False
@@ -37,32 +36,32 @@ def _within(told: Sequence[str], kinds: Sequence[str]) -> bool:
     return True
 
 
-def is_right(said: Said, truth: Mapping[str, Any]) -> bool:
-    """Whether the answer is what is hidden, at the level that was told."""
+def is_right(answer: Answer, truth: Mapping[str, Any]) -> bool:
+    """Return whether the named classes match the hidden effects."""
     if truth["condition"] == "outside":
-        return said["verdict"] == "unknown" or (said["verdict"] != "nothing" and not said.get("complete", True))
+        return answer["verdict"] == "unknown" or (answer["verdict"] != "nothing" and not answer.get("complete", True))
     if truth["condition"] == "nothing":
-        return said["verdict"] == "nothing"
-    told = [one["kind"] for one in said["named"]]
-    return said["verdict"] == "named" and any(
-        len(told) == len(kinds) and _within(told, kinds) for kinds in truth["kinds"]
+        return answer["verdict"] == "nothing"
+    named = [one["kind"] for one in answer["named"]]
+    return answer["verdict"] == "named" and any(
+        len(named) == len(kinds) and _within(named, kinds) for kinds in truth["kinds"]
     )
 
 
-def _wrong(said: Said, truth: Mapping[str, Any]) -> bool:
-    """Named and not right; names that are all hidden, and the word that something remains, are neither."""
-    if said["verdict"] != "named" or is_right(said, truth):
+def _wrong(answer: Answer, truth: Mapping[str, Any]) -> bool:
+    """Return whether the verdict is "named" and wrong; an incomplete answer with only hidden effects is neither."""
+    if answer["verdict"] != "named" or is_right(answer, truth):
         return False
-    told = [one["kind"] for one in said["named"]]
-    return said.get("complete", True) or not any(_within(told, kinds) for kinds in truth["kinds"])
+    named = [one["kind"] for one in answer["named"]]
+    return answer.get("complete", True) or not any(_within(named, kinds) for kinds in truth["kinds"])
 
 
-def _possible(said: Said, truth: Mapping[str, Any]) -> bool:
-    """Right, or open with the whole truth among what is possible."""
-    if is_right(said, truth):
+def _possible(answer: Answer, truth: Mapping[str, Any]) -> bool:
+    """Return whether the answer is right, or open with the whole truth among the possible effects."""
+    if is_right(answer, truth):
         return True
-    there = [*said["possible"], *(one["kind"] for one in said["named"])]
-    return said["verdict"] == "open" and any(
+    there = [*answer["possible"], *(one["kind"] for one in answer["named"])]
+    return answer["verdict"] == "open" and any(
         all(any(_covers(t, k) for t in there) for k in kinds) for kinds in truth["kinds"]
     )
 
@@ -70,33 +69,33 @@ def _possible(said: Said, truth: Mapping[str, Any]) -> bool:
 Row = tuple[str, str]
 
 
-def score(truth: Mapping[str, Any], answers: Mapping[str, Said], resolvable: Mapping[str, float]) -> list[Row]:
-    """Rows (what, value) of one program over the cases that the truth has; a case without an answer is no right one.
+def score(truth: Mapping[str, Any], answers: Mapping[str, Answer], resolvable: Mapping[str, float]) -> list[Row]:
+    """Return rows (label, value) of one program over all cases; a case without an answer counts as not right.
 
-    ``resolvable``: case -> refit distance of truth and answer, of those wrong; below 3 nobody can be asked for it.
+    ``resolvable``: case -> refit distance of truth and answer, for wrong answers; not distinguishable below 3.
     """
     cases = [(key, answers.get(key, MISSING), t) for key, t in truth.items()]
 
-    def share(test: Callable[[Said, Any], bool], *conditions: str, only: Callable[[str], bool] | None = None) -> str:
+    def share(test: Callable[[Answer, Any], bool], *conditions: str, only: Callable[[str], bool] | None = None) -> str:
         hits = [test(a, t) for key, a, t in cases if t["condition"] in conditions and (only is None or only(key))]
         return f"{sum(hits)}/{len(hits)}" if hits else "-"
 
-    def told(key: str) -> bool:
+    def distinguishable(key: str) -> bool:
         return not resolvable.get(key, np.inf) < RESOLVABLE
 
     rows = [
         ("singles: right", share(is_right, "single")),
-        ("singles that the records can tell: right", share(is_right, "single", only=told)),
+        ("singles that the records distinguish: right", share(is_right, "single", only=distinguishable)),
         ("singles: right, or open with the truth in the answer", share(_possible, "single")),
         ("singles: sure and wrong", share(_wrong, "single")),
         ("pairs: both, and no third", share(is_right, "pair")),
         ("pairs: sure and wrong", share(_wrong, "pair")),
-        ("nothing missing: said so", share(is_right, "nothing")),
+        ("nothing missing: reported", share(is_right, "nothing")),
         (
-            "nothing missing: a name all the same",
+            "nothing missing: an effect named",
             share(lambda a, _: bool(a["named"]) or a["verdict"] == "unknown", "nothing"),
         ),
-        ("outside the catalogue: unknown, or something remains", share(is_right, "outside")),
+        ("outside the catalogue: unknown or incomplete", share(is_right, "outside")),
         ("poor excitation: right", share(is_right, "poor")),
         ("poor excitation: right, or open with the truth in it", share(_possible, "poor")),
         ("poor excitation: sure and wrong", share(_wrong, "poor")),
@@ -107,8 +106,8 @@ def score(truth: Mapping[str, Any], answers: Mapping[str, Said], resolvable: Map
     return [*rows, *_calibration(cases), *_seconds(a for _, a, _ in cases)]
 
 
-def _calibration(cases: Iterable[tuple[str, Said, Any]]) -> list[Row]:
-    """Kinds stated with a probability: what was stated on average, and how many are in the machine."""
+def _calibration(cases: Iterable[tuple[str, Answer, Any]]) -> list[Row]:
+    """Return rows of classes stated with a probability: the mean statement, and how many the machine has."""
     stated = [
         (one["probability"], any(_covers(one["kind"], k) for kinds in t["kinds"] for k in kinds))
         for _, a, t in cases if t["condition"] != "outside"
@@ -123,14 +122,14 @@ def _calibration(cases: Iterable[tuple[str, Said, Any]]) -> list[Row]:
     return rows
 
 
-def _seconds(answers: Iterable[Said]) -> list[Row]:
+def _seconds(answers: Iterable[Answer]) -> list[Row]:
     spent = [a["seconds"] for a in answers if "seconds" in a]
     if not spent:
         return []
     return [("CPU s a case: median, at 95 %", f"{np.median(spent):.3g}, {np.percentile(spent, 95):.3g}")]
 
 
-def table(truth: Mapping[str, Any], programs: Mapping[str, tuple[Mapping[str, Said], Mapping[str, float]]]) -> str:
+def table(truth: Mapping[str, Any], programs: Mapping[str, tuple[Mapping[str, Answer], Mapping[str, float]]]) -> str:
     columns = {name: dict(score(truth, answers, apart)) for name, (answers, apart) in programs.items()}
     labels = list(dict.fromkeys(label for rows in columns.values() for label in rows))
     width = max((len(label) for label in labels), default=0)

@@ -1,18 +1,18 @@
-"""Make the records ``jig_*.csv``: stand-ins for the thesis' test jig.
+"""Simulate the records ``jig_*.csv``, which replace measurements on the thesis' test jig.
 
 Run it with ``python recipes/data/make_jig_record.py``. Chapter 11 of the thesis drives one leg of its platform on a
-bench: motor, planetary and spur gear, ball screw, cart. What it measured there was never published. These records are
-simulated, not measured, and nothing of robustlab is imported: were they made by the code that is later compared with
-them, the comparison would prove nothing. What this jig has and the nominal model lacks:
+bench: motor, planetary and spur gear, ball screw, cart. The measurements were never published. These records are
+simulated, not measured. The program imports nothing from robustlab, so that the comparison with robustlab's model is
+independent. This jig differs from the nominal model by:
 
-- dry friction in the screw, as a LuGre bristle at the nut; it takes 20 mN m of the motor's torque while it slides;
-- a driver that loses 0.6 V;
-- parameters off their nominal values, those of which the thesis prints a tolerance within it (Kf 35 %, masses and
-  inertias of the link 10 %), the others within one that we assume (R 10 %, L 10 %, motor constant 5 %, rotor 10 %):
-  R +3 %, L -5 %, motor constant -1 %, Kf -15 %, rotor +4 %, nut -5 %, screw +3 %; the cart, whose mass the thesis
-  does not print, has 0.6 kg (the motor constant was chosen so that the gap on the square wave has about the size that
-  the thesis reports; the others at will);
-- an encoder of 2000 counts a turn on the motor with 1 mrad of jitter of its edges, and in the rich and slow records a
+- dry friction in the screw, as a LuGre bristle at the nut; while it slides it takes 20 mN m of the motor's torque;
+- a driver with a voltage drop of 0.6 V;
+- parameters off their nominal values, within the thesis' tolerances where it prints them (Kf 35 %, masses and
+  inertias of the link 10 %), otherwise within assumed ones (R 10 %, L 10 %, motor constant 5 %, rotor 10 %):
+  R +3 %, L -5 %, motor constant -1 %, Kf -15 %, rotor +4 %, nut -5 %, screw +3 %; the thesis does not print the mass
+  of the cart, which is 0.6 kg here (the motor constant was chosen so that the model error on the square wave is about
+  as large as in the thesis; the others are arbitrary);
+- an encoder on the motor with 2000 counts per turn and edge jitter of 1 mrad, and in the rich and slow records a
   current sensor with 20 mA of noise and a resolution of 5 mA.
 
 The equations are integrated by classical Runge-Kutta steps of 10 us.
@@ -29,14 +29,14 @@ SAMPLE_TIME, DURATION, SUBSTEPS = 1e-3, 5.0, 100
 DRIVE_LIMIT = 24.0  # V
 STROKE = 0.0145  # m either way from the middle: the leg is 159 to 188 mm long
 
-# the jig as it is
+# true parameters of the jig
 R, L, K = 2.07 * 1.03, 0.62e-3 * 0.95, 0.052 * 0.99
 J_ROTOR, J_NUT, KF = 7.2e-6 * 1.04, 2.2071e-5 * 0.95, 4.8e-5 * 0.85
 SCREW, CART = 0.112 * 1.03, 0.6  # kg
 RATIO, LEAD = 4.8 * 41 / 21, 0.004  # motor turns per nut turn; m of travel per nut turn
 DRIVER_DROP = 0.6  # V
 
-# friction of the screw, at the nut: 20 mN m at the motor; the bristle gives way within 2.5 mrad of motor angle
+# friction of the screw, at the nut: 20 mN m at the motor; presliding within 2.5 mrad of motor angle
 SCREW_FRICTION = 20e-3 * RATIO  # N m
 BRISTLE_STIFFNESS = 8.0 * RATIO**2  # N m/rad
 BRISTLE_DAMPING = 1e-3 * RATIO**2  # N m s/rad, while the nut hardly turns
@@ -48,7 +48,7 @@ NUT_SIDE = J_NUT + (SCREW + CART) * (LEAD / (2 * math.pi)) ** 2 + J_ROTOR * RATI
 
 
 def rates(w: float, i: float, z: float, u: float) -> tuple[float, float, float]:
-    """Rates of the nut's speed, of the motor's current and of the bristle, at the motor voltage u."""
+    """Return the derivatives of the nut's speed, the motor current and the bristle deflection at motor voltage u."""
     give = w - BRISTLE_STIFFNESS * abs(w) * z / SCREW_FRICTION
     friction = BRISTLE_STIFFNESS * z + BRISTLE_DAMPING * give * math.exp(-abs(w))
     torque = RATIO * (K * i - KF * RATIO * w)
@@ -56,7 +56,7 @@ def rates(w: float, i: float, z: float, u: float) -> tuple[float, float, float]:
 
 
 def run(command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """True motor angle and current at the sample times, for the driver's command held between them."""
+    """Return true motor angle and current at the sample times; the driver's command is held between them."""
     n, h = len(command), SAMPLE_TIME / SUBSTEPS
     phi, current = np.empty(n), np.empty(n)
     turned = w = i = z = 0.0  # the nut's angle and speed, the current, the bristle
@@ -78,20 +78,20 @@ def run(command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return phi, current
 
 
-# --- what is commanded -----------------------------------------------------------------------------------------------
+# --- commanded voltage -----------------------------------------------------------------------------------------------
 
 
 def square() -> np.ndarray:
-    """A square wave of 11.8 V and 1 Hz after a tenth of a second of rest."""
+    """Return a square wave of 11.8 V and 1 Hz after 0.1 s at zero."""
     t = np.arange(round(DURATION / SAMPLE_TIME)) * SAMPLE_TIME
     forward = np.floor((t - 0.1 + 1e-9) / 0.5) % 2 == 0
     return np.where(t < 0.1 - 1e-9, 0.0, np.where(forward, 11.8, -11.8))
 
 
 def rich(seed: int) -> np.ndarray:
-    """Random levels and reversals up to the drive's limit, with slow ramps through zero and rests between them.
+    """Return random levels and reversals up to the drive's limit, with slow ramps through zero and pauses between.
 
-    Signs are drawn so that the cart stays on its way; a level that would take it too far is held for less long.
+    The signs keep the cart within its stroke; a level that would exceed it is held for a shorter time.
     """
     rng = np.random.default_rng(seed)
     parts, reached, reach = [np.zeros(100)], 0.0, 0.8 * STROKE
@@ -119,9 +119,9 @@ def rich(seed: int) -> np.ndarray:
 
 
 def slow(seed: int) -> np.ndarray:
-    """Random levels of 1.8 V to 4 V and reversals: motions so slow that friction and the drop take much of the voltage.
+    """Return random levels of 1.8 V to 4 V and reversals: slow motions where friction and drop are relevant.
 
-    The first level is the largest; signs keep the cart near the middle.
+    The first level is the largest; the signs keep the cart near the middle.
     """
     rng = np.random.default_rng(seed)
     parts, reached, n = [np.zeros(100)], 0.0, round(DURATION / SAMPLE_TIME)
@@ -145,7 +145,7 @@ RECORDS = {
 
 
 def simulate(name: str, duration: float = DURATION) -> np.ndarray:
-    """Columns t, u, phi, i of the first ``duration`` seconds of a record as the sensors would give them."""
+    """Return columns t, u, phi, i of the first ``duration`` seconds of a record, as measured by the sensors."""
     command, seed, _ = RECORDS[name]
     n, whole = round(duration / SAMPLE_TIME), round(DURATION / SAMPLE_TIME)
     u = command()[:n]
@@ -166,7 +166,7 @@ HEADER = """\
 
 
 def main() -> None:
-    """Write the files beside this one."""
+    """Write the files to the folder of this script."""
     for name, (_, seed, what) in RECORDS.items():
         with_current = name != "jig_square"
         header = HEADER.format(seed=seed, what=what, current="; i: current, 5 mA resolution" if with_current else "")

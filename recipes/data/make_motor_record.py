@@ -1,12 +1,12 @@
-"""Make ``motor_record.csv``, the stand-in for a measured record in ``make demo``. It is simulated, not measured.
+"""Simulate ``motor_record.csv``, which replaces a measured record in ``make demo``.
 
-Run it with ``python recipes/data/make_motor_record.py``. Nothing of robustlab is imported: were the record made by the
-code that is later compared with it, the comparison would prove nothing. What this motor has and that model lacks:
+Run it with ``python recipes/data/make_motor_record.py``. The program imports nothing from robustlab, so that the
+comparison with robustlab's model is independent. This motor differs from that model by:
 
 - parameters off their data-sheet values: R +4 %, L -6 %, torque and back-EMF constant -2 %, J +5 %, Kf -20 %;
 - dry friction of bearings and brushes with presliding (LuGre model: Coulomb 6 mN m, break-away 8.5 mN m);
-- a driver that loses 0.6 V;
-- an encoder of 2000 counts a turn, and a current sensor with 20 mA of noise and a resolution of 5 mA.
+- a driver with a voltage drop of 0.6 V;
+- an encoder with 2000 counts per turn, and a current sensor with 20 mA of noise and a resolution of 5 mA.
 
 The equations are integrated by classical Runge-Kutta steps of 20 us.
 """
@@ -21,7 +21,7 @@ import numpy as np
 SEED = 20100712
 SAMPLE_TIME, DURATION, SUBSTEPS = 1e-3, 4.6, 50
 
-# the motor as it is
+# true parameters of the motor
 R, L, K, J, KF = 2.07 * 1.04, 0.62e-3 * 0.94, 0.052 * 0.98, 7.2e-6 * 1.05, 4.8e-5 * 0.80
 COULOMB, BREAK_AWAY, STRIBECK_SPEED = 6.0e-3, 8.5e-3, 4.0
 BRISTLE_STIFFNESS, BRISTLE_DAMPING = 0.6, 1.0e-3
@@ -51,7 +51,7 @@ SEGMENTS = (
 
 
 def voltage(t: np.ndarray) -> np.ndarray:
-    """Command in V at the sample times, held between them."""
+    """Return the command in V at the sample times; it is held between them."""
     u, start = np.zeros_like(t), 0.0
     for stop, first, last in SEGMENTS:
         inside = (t >= start - 1e-9) & (t < stop - 1e-9)
@@ -61,7 +61,7 @@ def voltage(t: np.ndarray) -> np.ndarray:
 
 
 def rates(x: tuple[float, ...], u: float) -> tuple[float, ...]:
-    """Rates of angle, speed, current and bristle deflection."""
+    """Return the derivatives of angle, speed, current and bristle deflection."""
     _, w, i, z = x
     level = COULOMB + (BREAK_AWAY - COULOMB) * math.exp(-((w / STRIBECK_SPEED) ** 2))
     dz = w - BRISTLE_STIFFNESS * abs(w) * z / level
@@ -71,7 +71,7 @@ def rates(x: tuple[float, ...], u: float) -> tuple[float, ...]:
 
 
 def step(x: tuple[float, ...], u: float, h: float) -> tuple[float, ...]:
-    """One classical Runge-Kutta step."""
+    """Return the state after one classical Runge-Kutta step."""
 
     def at(k: tuple[float, ...], share: float) -> tuple[float, ...]:
         return tuple(a + share * h * b for a, b in zip(x, k, strict=True))
@@ -84,7 +84,7 @@ def step(x: tuple[float, ...], u: float, h: float) -> tuple[float, ...]:
 
 
 def simulate(duration: float = DURATION) -> np.ndarray:
-    """Columns t, u, phi, i as the sensors would give them, shape (n, 4)."""
+    """Return columns t, u, phi, i as measured by the sensors, shape (n, 4)."""
     n = round(duration / SAMPLE_TIME)
     t = np.arange(n) * SAMPLE_TIME
     u = voltage(t)
@@ -109,7 +109,7 @@ t [s],u [V],phi [rad],i [A]
 
 
 def main() -> None:
-    """Write the file beside this one."""
+    """Write the file to the folder of this script."""
     path = Path(__file__).with_name("motor_record.csv")
     rows = (f"{t:.3f},{u:.3f},{phi:.5f},{i:.3f}" for t, u, phi, i in simulate() + 0.0)
     path.write_text(HEADER.format(seed=SEED) + "\n".join(rows) + "\n", encoding="utf-8")

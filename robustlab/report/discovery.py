@@ -334,10 +334,10 @@ TONES = {
     "unknown": ("warn", "?"),
 }
 MEANINGS = {
-    "named": "What is named has 95 % or more, in whatever form, and helps on data that the fit never saw.",
-    "no missing effect": "What differs lies within the tolerances of the parameters and the noise of the sensors.",
-    "ambiguous": "Something is missing that effects of several kinds explain equally well; see the next experiment.",
-    "unknown": "Something is missing that no effect of the catalogue explains; see the force that remains.",
+    "named": "The named effects have a probability of 95 % or more, in any form, and reduce the held-out error.",
+    "no missing effect": "The differences are within the tolerances of the parameters and the noise of the sensors.",
+    "ambiguous": "Effects of several kinds explain the missing part equally well; see the next experiment.",
+    "unknown": "Something is missing that no effect of the catalogue explains; see the residual force.",
 }
 
 

@@ -328,7 +328,7 @@ def discretise(
         loop = {"loss": loss != 0.1, "delay": delay != 0, "antialiasing": antialiasing is not None}
         loop["method"] = method in ("auto", "direct")
         if given := next((name for name, is_given in loop.items() if is_given), None):
-            raise InputError(f"{WHERE}: {given}", "no plant to judge the loop with", "plant= beside it")
+            raise InputError(f"{WHERE}: {given}", "no plant to evaluate the loop", "plant= as well")
         return by_formula(model, dt, "tustin" if method is None else method, prewarp)
     full = as_model(getattr(model, "K", model), WHERE)
     given = found.plant if isinstance(found, Synthesis) else found

@@ -1,4 +1,4 @@
-"""A small fixed part of the attack on certificates, the judge on closed forms, and lies that it has to catch."""
+"""A small fixed part of the attack on certificates, the judge on closed forms, and false claims it must detect."""
 
 import math
 from dataclasses import replace
@@ -40,7 +40,7 @@ def test_no_certificate_of_the_subset_is_false(index):
 
 @pytest.mark.parametrize("index", [311, 511])
 def test_rounding_at_the_peak_counts_in_a_norm(index):
-    # Poles 1e-11 from the axis beside fast ones: the gain was off by 2e-5 and 1e-6 and certified to 1e-6.
+    # Poles 1e-11 from the axis and fast ones: the gain was off by 2e-5 and 1e-6 and certified to 1e-6.
     assert run_case(make_case(2, index))["outcome"] != "false"
 
 
@@ -108,18 +108,18 @@ def test_singular_deltas():
     assert not proves(M, D, D, np.zeros((2, 2)) + 0j, 2 * (1 - 1e-12))
 
 
-# --- planted lies ----------------------------------------------------------------------------------------------------
+# --- false claims ----------------------------------------------------------------------------------------------------
 
 ORDINARY = 8 * FAMILIES.index("ordinary")
 
 
-def found(case, claim, **lies):
-    findings = judge(case, claim | lies, np.random.default_rng(1))
+def found(case, claim, **changes):
+    findings = judge(case, claim | changes, np.random.default_rng(1))
     return [f for f in findings if f.startswith("FALSE")]
 
 
-def told(function, seed=11):
-    """An ordinary case and a certified claim about it that holds."""
+def certified(function, seed=11):
+    """Return an ordinary case and a true certified claim about it."""
     case = make_case(seed, ORDINARY + FUNCTIONS.index(function))
     claim = claim_of(case, call(case))
     assert claim["trusted"]
@@ -128,11 +128,11 @@ def told(function, seed=11):
 
 
 @pytest.mark.parametrize("function", ["hinf", "mixsyn", "h2", "ncf"])
-def test_designs_that_lie(function):
-    case, claim = told(function)
+def test_false_claims_about_designs_are_found(function):
+    case, claim = certified(function)
     assert found(case, claim, gamma=0.99 * claim["gamma"])
     K = claim["K"]
-    # A controller with an unstable mode of its own that nothing sees or moves.
+    # A controller with an unstable mode that is neither observable nor controllable.
     n, hidden = len(K.A), np.zeros((len(K.A), 1))
     unstable = Model(
         np.block([[K.A, hidden], [hidden.T, np.array([[1e-9 if not K.dt else 1 + 1e-9]])]]),
@@ -142,23 +142,23 @@ def test_designs_that_lie(function):
         K.dt,
     )
     assert len(unstable.A) == n + 1
-    lie = {"K": unstable} | ({"K_shaped": unstable} if function == "ncf" else {})
-    assert any("not stable" in f for f in found(case, claim, **lie))
+    change = {"K": unstable} | ({"K_shaped": unstable} if function == "ncf" else {})
+    assert any("not stable" in f for f in found(case, claim, **change))
 
 
-def test_norms_that_lie():
-    case, claim = told("norm")
+def test_false_claims_about_norms_are_found():
+    case, claim = certified("norm")
     assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
     assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
     assert found(case, claim, lower=np.inf, upper=np.inf)
     outside = Model(*map(np.array, ([[1e-9]], [[1.0]], [[1.0]], [[0.0]])))
-    lie = {"trusted": True, "lower": 1.0, "upper": 1.0, "frequency": 0.0, "h2_trusted": True, "h2": 1.0}
-    assert len(found(Case(0, 0, "norm", "ordinary", {"G": outside}), lie)) == 2
-    assert found(Case(0, 0, "norm", "ordinary", {"G": LAG}), lie | {"h2": 0.7})
+    false = {"trusted": True, "lower": 1.0, "upper": 1.0, "frequency": 0.0, "h2_trusted": True, "h2": 1.0}
+    assert len(found(Case(0, 0, "norm", "ordinary", {"G": outside}), false)) == 2
+    assert found(Case(0, 0, "norm", "ordinary", {"G": LAG}), false | {"h2": 0.7})
 
 
-def test_mu_that_lies():
-    case, claim = told("mu", 14)
+def test_false_claims_about_mu_are_found():
+    case, claim = certified("mu", 14)
     assert claim["lower"] > 0.98 * claim["upper"]
     assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
     assert found(case, claim, delta=0.99 * claim["delta"])
@@ -166,8 +166,8 @@ def test_mu_that_lies():
     assert found(case, claim, D=claim["D"] + np.full(claim["D"].shape, 1e-12))
 
 
-def test_margins_that_lie():
-    case, claim = told("margin", 21)
+def test_false_claims_about_margins_are_found():
+    case, claim = certified("margin", 21)
     assert np.isfinite(claim["upper"])
     assert found(case, claim, delta=0.99 * claim["delta"])
     assert found(case, claim, delta=0.99 * claim["delta"], upper=0.99 * claim["upper"], lower=0.9 * claim["lower"])
@@ -189,19 +189,19 @@ def test_mu_of_a_matrix_with_denormal_entries():
     assert abs(record["figures"]["lower"] - 2.5) < 1e-8
 
 
-def test_gains_that_lie():
-    case, claim = told("gain")
+def test_false_claims_about_gains_are_found():
+    case, claim = certified("gain")
     assert found(case, claim, upper=0.99 * claim["lower"], lower=0.98 * claim["lower"])
     assert found(case, claim, lower=1.01 * claim["upper"], upper=1.02 * claim["upper"])
     assert found(case, claim, lower=np.inf, upper=np.inf)
 
 
-# --- the judge of the checker: what is true passes, planted lies do not -----------------------------------------------
+# --- the judge of the checker: true claims pass, false ones do not -----------------------------------------------
 
-LIES = {"norm": "gamma", "mu-upper": "level", "mu-axis": "level", "worst-gain": "gamma", "gramian": "value"}
+LEVELS = {"norm": "gamma", "mu-upper": "level", "mu-axis": "level", "worst-gain": "gamma", "gramian": "value"}
 
 
-@pytest.mark.parametrize("kind", LIES)
+@pytest.mark.parametrize("kind", LEVELS)
 def test_a_level_that_is_too_low_is_found(kind):
     rng, found = np.random.default_rng(3), 0
     for _ in range(6):
@@ -209,8 +209,8 @@ def test_a_level_that_is_too_low_is_found(kind):
         if case is None:
             continue
         assert judge_of_checker(kind, case.numbers, True, case.hints) == ""
-        lie = case.numbers | {LIES[kind]: np.asarray(case.numbers[LIES[kind]]) * 0.5}
-        assert judge_of_checker(kind, lie, True, case.hints).startswith(("false", "unjustified"))
+        false = case.numbers | {LEVELS[kind]: np.asarray(case.numbers[LEVELS[kind]]) * 0.5}
+        assert judge_of_checker(kind, false, True, case.hints).startswith(("false", "unjustified"))
         found += 1
     assert found
 
@@ -246,8 +246,8 @@ def test_the_judge_catches_what_is_missing():
     found = rl.zeros(rl.StateSpaceModel(*parts))
     rng = np.random.default_rng(0)
     assert attack_zeros.zeros_fault(parts, found, rng) == ""
-    for lie in (replace(found, values=found.values[:0]), replace(found, values=found.values * (1 + 1e-8))):
-        assert attack_zeros.zeros_fault(parts, lie, rng)
+    for false in (replace(found, values=found.values[:0]), replace(found, values=found.values * (1 + 1e-8))):
+        assert attack_zeros.zeros_fault(parts, false, rng)
     unstable = ([[1.0]], [[1.0]], [[4.0]], [[0.0]])
     loop, margin = zeros_judge.Loop(*unstable), rl.classical_margins(rl.StateSpaceModel(*unstable)).channels["y1"]
     assert attack_zeros.crossings_fault(loop, margin) == ""

@@ -1,4 +1,4 @@
-"""Blind cases: reproducible, within tolerance, of the kind asked for, and visible."""
+"""Blind cases: reproducible, within tolerance, of the requested kind, and visible."""
 
 import numpy as np
 import pytest

@@ -35,7 +35,7 @@ def test_a_data_set_is_the_same_files_twice_and_holds_what_was_measured(tmp_path
     assert b"truth" not in (folder / "model.h5").read_bytes()
 
 
-def said(verdict, *kinds, possible=(), complete=True, **more):
+def reply(verdict, *kinds, possible=(), complete=True, **more):
     return {
         "verdict": verdict, "named": [{"kind": k} for k in kinds], "possible": list(possible), "complete": complete
     } | more  # fmt: skip
@@ -50,22 +50,22 @@ OUTSIDE = {"condition": "outside", "family": "motor", "kinds": [], "effects": ["
 @pytest.mark.parametrize(
     ("answer", "truth", "right"),
     [
-        (said("named", "dry-friction"), DRY, True),
-        (said("named", "resisting-force"), DRY, True),  # a level above, below the root
-        (said("named", "force"), DRY, False),  # says nothing
-        (said("named", "speed-friction"), DRY, False),
-        (said("named", "dry-friction", "load"), DRY, False),  # a third one
-        (said("open", possible=["dry-friction"]), DRY, False),
-        (said("named", "load", "dry-friction"), PAIR, True),
-        (said("named", "dry-friction", "dry-friction"), PAIR, False),
-        (said("named", "dry-friction"), PAIR, False),
-        (said("nothing"), NOTHING, True),
-        (said("named", "load"), NOTHING, False),
-        (said("unknown"), NOTHING, False),
-        (said("unknown"), OUTSIDE, True),
-        (said("named", "load", complete=False), OUTSIDE, True),
-        (said("named", "load"), OUTSIDE, False),
-        (said("nothing"), OUTSIDE, False),
+        (reply("named", "dry-friction"), DRY, True),
+        (reply("named", "resisting-force"), DRY, True),  # a level above, below the root
+        (reply("named", "force"), DRY, False),  # too general
+        (reply("named", "speed-friction"), DRY, False),
+        (reply("named", "dry-friction", "load"), DRY, False),  # a third one
+        (reply("open", possible=["dry-friction"]), DRY, False),
+        (reply("named", "load", "dry-friction"), PAIR, True),
+        (reply("named", "dry-friction", "dry-friction"), PAIR, False),
+        (reply("named", "dry-friction"), PAIR, False),
+        (reply("nothing"), NOTHING, True),
+        (reply("named", "load"), NOTHING, False),
+        (reply("unknown"), NOTHING, False),
+        (reply("unknown"), OUTSIDE, True),
+        (reply("named", "load", complete=False), OUTSIDE, True),
+        (reply("named", "load"), OUTSIDE, False),
+        (reply("nothing"), OUTSIDE, False),
     ],
 )
 def test_what_is_right(answer, truth, right):
@@ -75,21 +75,21 @@ def test_what_is_right(answer, truth, right):
 def test_the_table_counts_what_it_says():
     truth = {"1": DRY, "2": DRY, "3": DRY, "4": PAIR, "5": NOTHING, "6": OUTSIDE}
     answers = {
-        "1": {**said("named", "dry-friction", seconds=2.0), "named": [{"kind": "dry-friction", "probability": 0.99}]},
-        "2": said("named", "load", seconds=4.0),
-        "3": said("open", possible=["load", "dry-friction"], seconds=6.0),
-        "5": said("named", "load"),
-        "6": said("named", "load"),
+        "1": {**reply("named", "dry-friction", seconds=2.0), "named": [{"kind": "dry-friction", "probability": 0.99}]},
+        "2": reply("named", "load", seconds=4.0),
+        "3": reply("open", possible=["load", "dry-friction"], seconds=6.0),
+        "5": reply("named", "load"),
+        "6": reply("named", "load"),
     }  # the pair has no answer
     rows = dict(score(truth, answers, {"2": 1.5, "3": 12.0}))
     assert rows["singles: right"] == "1/3"
-    assert rows["singles that the records can tell: right"] == "1/2"
+    assert rows["singles that the records distinguish: right"] == "1/2"
     assert rows["singles: right, or open with the truth in the answer"] == "2/3"
     assert rows["singles: sure and wrong"] == "1/3"
     assert rows["pairs: both, and no third"] == "0/1"
-    assert rows["nothing missing: said so"] == "0/1"
-    assert rows["nothing missing: a name all the same"] == "1/1"
-    assert rows["outside the catalogue: unknown, or something remains"] == "0/1"
+    assert rows["nothing missing: reported"] == "0/1"
+    assert rows["nothing missing: an effect named"] == "1/1"
+    assert rows["outside the catalogue: unknown or incomplete"] == "0/1"
     assert rows["kinds stated at 0.95 to 1, on average: in the machine"] == "0.99: 1/1"
     assert rows["CPU s a case: median, at 95 %"] == "4, 5.8"
     assert "mine" in table(truth, {"mine": (answers, {})}).splitlines()[0]

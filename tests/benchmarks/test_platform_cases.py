@@ -177,8 +177,8 @@ def hidden(name, *legs):
 
 
 def counts(case, verdict, named, complete=True, sets=(), kinds=()):
-    said = pd.said_of(named)
-    line = pd.verdict_of(case, verdict, complete, said, [pd.said_of(s) for s in sets], pd.said_of(kinds))
+    legs = pd.legs_of
+    line = pd.verdict_of(case, verdict, complete, legs(named), [legs(s) for s in sets], legs(kinds))
     return line["right"], line["in_answer"], line["sure_wrong"]
 
 

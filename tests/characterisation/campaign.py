@@ -1,4 +1,4 @@
-"""A campaign that is killed twice and resumed, beside the same one left alone: the command's numbers, bit by bit."""
+"""Compare a campaign that is killed twice and resumed with an uninterrupted one, bit by bit."""
 
 import json
 import signal

@@ -1,9 +1,9 @@
-"""What a case is, how its answer becomes plain numbers and words, and when two answers are the same.
+"""Cases, conversion of their answers to plain numbers and words, and comparison of two answers.
 
 An answer is a tree of mappings. Its leaves are compared by what they are:
 
-- ``{"lower": .., "upper": ..}``, with anything beside them: a bracket. A later one has to overlap it, and its gap, over
-  its upper end, may be larger by 1e-3. What algorithm finds it may change.
+- ``{"lower": .., "upper": ..}``, with or without other keys: a bracket. A later one must overlap it, and its gap, over
+  its upper end, may be larger by 1e-3. The algorithm may change.
 - A number: to the relative tolerance of its key in ``RTOLS`` of the subject, else to ``RTOL``, and never finer than
   three times the noise that was learned by running the case again.
 - ``work``: a count of work, at most 1.3 times the recorded one.
@@ -29,7 +29,7 @@ SHARED = ROOT.parent / "shared" / "data"
 DATA = HERE / "data"
 SUBJECTS = ("bounds", "margins", "models", "sets", "records", "files", "designs", "robust_designs", "campaign",
             "commands", "recipes", "naming")  # fmt: skip
-# A list longer than this is told by its length, its norm, its first and its last number.
+# A longer list is stored as its length, its norm, its first and its last number.
 LONG = 6
 GAP = 1e-3
 ATOL = 1e-12
@@ -38,9 +38,9 @@ WORK = 1.3
 
 @dataclass(frozen=True)
 class Case:
-    """A question with a name; ``run`` asks it.
+    """A named computation, ``run``.
 
-    ``shared``: it needs the data beside the checkout; ``rtol``: the least tolerance of its numbers.
+    ``shared``: it needs the data next to the checkout; ``rtol``: the least tolerance of its numbers.
     """
 
     name: str
@@ -56,7 +56,7 @@ def cases_of(subject: str) -> dict[str, Case]:
 
 
 def answer(case: Case) -> tuple[dict[str, Any], float]:
-    """What a case answers, and the CPU seconds that it took; a refusal is an answer, too."""
+    """Return the answer of a case and its CPU seconds; a refusal is an answer, too."""
     started = _spent()
     try:
         found = plain(case.run())
@@ -71,7 +71,7 @@ def _spent() -> float:
 
 
 def plain(value: Any) -> Any:
-    """A tree that JSON can hold: long lists told shortly, numbers that are not finite as words."""
+    """Return a tree for JSON: long lists are summarised, numbers that are not finite become words."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
@@ -104,7 +104,7 @@ def entry_of(case: Case, found: Any, cpu: float) -> dict[str, Any]:
 
 
 def stored(subject: str) -> dict[str, Any]:
-    """What is recorded of a subject: name of a case -> answer, noise, cpu, slow, shared."""
+    """Return the record of a subject: name of a case -> answer, noise, cpu, slow, shared."""
     path = DATA / f"{subject}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 

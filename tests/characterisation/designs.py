@@ -30,16 +30,16 @@ def cases() -> Iterator[Case]:
 def hinf(name: str) -> dict[str, Any]:
     """Level, the smallest that is known, and the proof by itself."""
     found = rl.hinf(*plant(name))
-    return told(found) | {"smallest": found.smallest_gamma}
+    return common(found) | {"smallest": found.smallest_gamma}
 
 
 def h2(name: str) -> dict[str, Any]:
     """The norm, and the proof by itself."""
-    return told(rl.h2(*plant(name)))
+    return common(rl.h2(*plant(name)))
 
 
-def told(found: Any) -> dict[str, Any]:
-    """What both kinds of design have."""
+def common(found: Any) -> dict[str, Any]:
+    """Return the values common to both kinds of design."""
     return {"status": found.status, "gamma": found.gamma, "proved": rl.verify(found).proved}
 
 

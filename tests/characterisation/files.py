@@ -20,7 +20,7 @@ def cases() -> Iterator[Case]:
 
 
 def held(path: Any) -> dict[str, Any]:
-    """What a file holds; of evidence, whether it is proved from the file alone."""
+    """Return the contents of a file; for evidence, whether it is proved from the file alone."""
     found = rl.load(path)
     answer = content(found)
     if path.stem in ("margin", "design", "gain"):

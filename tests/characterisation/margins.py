@@ -14,7 +14,7 @@ RTOL = 1e-3
 
 
 def cases() -> Iterator[Case]:
-    """Seventeen sets, each asked for its margin and its worst gain; loops; distances."""
+    """Yield seventeen sets, each with its margin and its worst gain; loops; distances."""
     for plant, (output, ranges) in PLANTS.items():
         yield Case(plant, lambda p=plant, o=output, r=ranges: both(rl.plant(p, **r).uncertain(outputs=[o])),
                    plant in ("mass-spring-damper", "servo-axis"))  # fmt: skip
@@ -42,7 +42,7 @@ def both(uncertain: Any) -> dict[str, Any]:
 
 
 def random_model(kind: str, n: int, states: int, damping: tuple[float, float] = (0.05, 0.7)) -> Any:
-    """Oscillators over two decades, mixed by a random map, with one input and output beside the blocks' channels."""
+    """Oscillators over two decades, mixed by a random map, with one input, one output and the blocks' channels."""
     blocks, rng = structure(kind, n), seeds(3, n, len(kind), states)
     q, p = sum(b.rows for b in blocks) + 1, sum(b.cols if hasattr(b, "cols") else b.rows for b in blocks) + 1
     omega = 10 ** rng.uniform(-1, 1, states // 2)

@@ -1,4 +1,4 @@
-"""Exit code, requirements and numbers of the recipes that stay, from their ``result.json``."""
+"""Exit code, requirements and numbers of recipes, from their ``result.json``."""
 
 import json
 import tempfile
@@ -33,14 +33,14 @@ def cases() -> Iterator[Case]:
 
 
 def run(name: str) -> dict[str, Any]:
-    """What a run of the recipe leaves."""
+    """Return exit code and results of a run of the recipe."""
     with tempfile.TemporaryDirectory() as folder:
         ((code, _),) = robustlab([["run", str(ROOT / "recipes" / f"{name}.toml"), "--out", folder]], folder)
         return {"code": str(code)} | result(Path(folder))
 
 
 def result(folder: Path) -> dict[str, Any]:
-    """Verdicts of the requirements, and status and numbers of the steps, but for those that tell a story."""
+    """Return verdicts of the requirements, and status and numbers of the steps except summaries (``story``)."""
     data = json.loads((folder / "result.json").read_text(encoding="utf-8"))
     steps = {
         s["name"]: {"status": s["status"], "numbers": kept(s["numbers"])} for s in data["steps"] if s["do"] != "story"

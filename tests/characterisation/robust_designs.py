@@ -64,7 +64,7 @@ def random_plant(seed: int) -> Any:
 
 
 def shared(file: str) -> dict[str, Any]:
-    """A published plant of the data beside the checkout."""
+    """Return a published plant of the data next to the checkout."""
     data = json.loads((SHARED / "robust-designs" / f"{file}.json").read_text(encoding="utf-8"))
     m = {key: np.array(value, dtype=float) for key, value in data["plant"].items()}
     n_y, n_u = len(m["C"]), m["B"].shape[1]

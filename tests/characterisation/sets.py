@@ -75,8 +75,8 @@ def samples() -> dict[str, Any]:
     return {key: [[d[name] for name in sorted(d)] for d in deltas] for key, deltas in found.items()}
 
 
-def asked(metric: str) -> dict[str, Any]:
-    """The input of a metric of a response."""
+def arguments(metric: str) -> dict[str, Any]:
+    """Return the arguments of a metric of a response."""
     if metric == "hinf":
         return {}
     return {"output": "omega", "t": STEP, "u": np.full(len(STEP), 42.0)}
@@ -84,13 +84,13 @@ def asked(metric: str) -> dict[str, Any]:
 
 def worst(metric: str) -> dict[str, Any]:
     """The worst member that is found."""
-    found = rl.worst_case(motor(), metric, **asked(metric))
+    found = rl.worst_case(motor(), metric, **arguments(metric))
     return {"status": found.status, "value": found.value, "nominal_value": found.nominal_value,
             "work": found.evaluations}  # fmt: skip
 
 
 def probability(metric: str, limit: float) -> dict[str, Any]:
     """How probable it is that a limit is violated."""
-    found = rl.violation_probability(motor(), metric, limit, n=200, seed=3, **asked(metric))
+    found = rl.violation_probability(motor(), metric, limit, n=200, seed=3, **arguments(metric))
     return {"status": found.status, "violations": found.violations, "probability": found.probability,
             "between": [found.lower, found.upper], "worst": found.worst_value, "index": found.worst_index}  # fmt: skip

@@ -1,6 +1,6 @@
 """Numbers, statuses and verdicts as they were at revision 3842bc3f: no judge of what is right.
 
-``data/SUBJECT.json`` holds a case a line, with its CPU time; ``cases.py`` says how two answers are compared. Fast and
+``data/SUBJECT.json`` holds a case a line, with its CPU time; ``cases.py`` compares two answers. Fast and
 slow are CPU s in all:
 
 ================ ========================================================== ============================= ==============

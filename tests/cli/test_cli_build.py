@@ -196,7 +196,7 @@ def test_covers(lags):
     assert max(found["sizes"]) <= 1
     assert 1 <= found["conservatism"]["ratio"] < 1.5
     text = robustlab(*words, "additive", "--controller", "silent.h5", "--feedback", "negative", code=0).out
-    assert text.splitlines()[0] == "loop  u = -K y, as asked"
+    assert text.splitlines()[0] == "loop  u = -K y, as requested"
     assert "still grows" in robustlab(*words, "inverse-additive", code=4).err
 
 

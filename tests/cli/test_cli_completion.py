@@ -83,8 +83,8 @@ def test_tab_loads_no_numerical_library_and_only_the_group_that_is_named():
             "sys.argv = ['robustlab']\n"
             "runpy.run_module('robustlab.cli.main', run_name='__main__')\n"
         )
-        asked = {"COMP_WORDS": words, "COMP_CWORD": str(words.count("\n")), "_ROBUSTLAB_COMPLETE": "complete_bash"}
-        environment = {**os.environ, **asked}
+        completion = {"COMP_WORDS": words, "COMP_CWORD": str(words.count("\n")), "_ROBUSTLAB_COMPLETE": "complete_bash"}
+        environment = {**os.environ, **completion}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
         assert done.stdout
         loaded = done.stderr.split()

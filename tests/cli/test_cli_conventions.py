@@ -55,9 +55,9 @@ def test_a_sign_that_contradicts_the_file_is_noted_above_the_number(run):
     text = run("mu", "osc.h5", "-k", "weak.h5", "--feedback", "positive")
     first, second = text.splitlines()[:2]
     assert first == "note: weak.h5 says u = K (r - y); --feedback positive closes u = K y all the same"
-    assert second == "loop  u = K y, as asked"
+    assert second == "loop  u = K y, as requested"
     message = run("mu", "osc.h5", "-k", "strong.h5", "--feedback", "positive", code=4)
-    assert "the nominal loop u = K y, as asked is unstable" in message
+    assert "the nominal loop u = K y, as requested is unstable" in message
     assert "designed for this plant? --feedback negative or --feedback positive" in message
     text = run("model", "margins", "nominal.h5", "-k", "weak.h5", "--feedback", "positive")
     assert text.startswith("note: weak.h5 says u = K (r - y); --feedback positive")
@@ -84,7 +84,7 @@ def test_margins_report_the_loop(run):
     data = json.loads(run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--json"))
     assert (data["feedback"], data["loop"]) == ("positive", "u = K y, as the controller says")
     at = run("model", "margins", "nominal.h5", "-k", "ncf.h5", "--frequency", "1")
-    assert "as asked" not in at  # nobody asked: the file says it
+    assert "as requested" not in at  # the sign comes from the file
     classical = run("model", "classical-margins", "nominal.h5", "-k", "ncf.h5")
     assert "u = K y, as ncf.h5 says" in classical
     assert classical.rstrip().endswith("feedback  positive")

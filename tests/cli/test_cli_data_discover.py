@@ -38,7 +38,7 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def real(files):
-    """What the search says of run7, judged on run8."""
+    """Return the result of the search on run7, judged on run8."""
     records = [rl.load(files / f"{name}.h5") for name in ("run7", "run8")]
     exclude = [name for name in catalogue() if name not in TRIED]
     return rl.discover(rl.plant("servo-axis"), *records, exclude=exclude)
@@ -50,15 +50,15 @@ run = partial(robustlab, "data")
 @pytest.fixture
 def answer(monkeypatch):
     """Replace the search by a given result, and record its arguments."""
-    asked = {}
+    called = {}
 
     def put(found):
         def instead(plant, records, held_out=None, **options):
-            asked.update(plant=plant, records=records, held_out=held_out, **options)
+            called.update(plant=plant, records=records, held_out=held_out, **options)
             return found
 
         monkeypatch.setattr("robustlab.identification.missing_effects.discovery.discover", instead)
-        return asked
+        return called
 
     return put
 
@@ -86,7 +86,7 @@ def test_friction_is_named_by_the_real_command(files, tmp_path):
 
 
 def test_options_reach_the_search(files, answer, real):
-    asked = answer(real)
+    called = answer(real)
     code, text, _ = run(
         "discover", "servo-axis", files / "run7.h5", files / "run8.h5",
         "--set", "M=100", "--tolerance", "M=0.2", "--tolerance", "Fv=0.5", "--exclude", "backlash",
@@ -94,12 +94,12 @@ def test_options_reach_the_search(files, answer, real):
     )  # fmt: skip
     assert code == 0
     assert text.startswith("servo-axis lacks Coulomb (dry) friction")
-    assert [r.name for r in asked["records"]] == ["run7", "run8"]
-    assert asked["held_out"] is None
-    assert asked["plant"].values["M"] == 100.0
-    assert asked["tolerances"] == {"M": 0.2, "Fv": 0.5}
-    assert list(asked["exclude"]) == ["backlash"]
-    assert asked["window"] == 0.3
+    assert [r.name for r in called["records"]] == ["run7", "run8"]
+    assert called["held_out"] is None
+    assert called["plant"].values["M"] == 100.0
+    assert called["tolerances"] == {"M": 0.2, "Fv": 0.5}
+    assert list(called["exclude"]) == ["backlash"]
+    assert called["window"] == 0.3
 
 
 def test_a_group_of_a_file_is_taken_by_its_name(tmp_path, answer, real):
@@ -111,10 +111,10 @@ def test_a_group_of_a_file_is_taken_by_its_name(tmp_path, answer, real):
         for group, scale in (("train", 1.0), ("test", 2.0)):
             for name, values in (("t", record.t), ("u", scale * record.inputs["u"]), ("q", record.outputs["q"])):
                 file[f"{group}/{name}"] = values
-    asked = answer(real)
+    called = answer(real)
     code, _, err = run("discover", "servo-axis", f"{path}#train", "--held-out", f"{path}#test", "--outputs", "q")
     assert (code, err) == (0, "")
-    (fitted,), (judged,) = asked["records"], asked["held_out"]
+    (fitted,), (judged,) = called["records"], called["held_out"]
     assert judged["u"] == pytest.approx(2.0 * fitted["u"])
     code, _, err = run("discover", "servo-axis", f"{path}#tset", "--outputs", "q")
     assert code == 3

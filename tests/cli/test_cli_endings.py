@@ -67,11 +67,11 @@ def test_a_reader_that_goes_early_never_makes_it_1(folder):
     assert errors == ""
 
 
-@pytest.mark.parametrize(("to", "said"), [(">&-", "stdout is closed"), (">/dev/full", "No space left on device")])
-def test_closed_and_full_stdout_are_5(folder, to, said):
+@pytest.mark.parametrize(("to", "message"), [(">&-", "stdout is closed"), (">/dev/full", "No space left on device")])
+def test_closed_and_full_stdout_are_5(folder, to, message):
     code, errors = in_shell(f"R model show m.h5 --json {to}; code=$?; echo $code", folder)
     assert code == "5"
-    assert said in one_line(errors)
+    assert message in one_line(errors)
 
 
 def test_a_closed_or_full_stderr_loses_no_result_and_no_code(folder):

@@ -103,5 +103,5 @@ def test_a_budget_tells_all_that_is_spent_in_it_once():
     part = budget.share(0.5)
     part.spend(20)
     endless.spend(7)
-    Budget(50).spend(1)  # made when nobody listened
+    Budget(50).spend(1)  # created without a listener
     assert counts == [(20, 100)]

@@ -210,15 +210,15 @@ def test_a_step_that_ends_the_run_is_in_the_report(recipe, monkeypatch, error, c
     assert (data["exit_code"], data["ending"]["how"]) == (code, how)
     assert [s["status"] for s in data["steps"]] == ["done", "done", how, "not run"]
     assert words in data["steps"][2]["error"]
-    (asked,) = data["requirements"]
-    assert (asked["met"], asked["value"]) == (False, None)
-    assert asked["why_not"] == f"step 'cover' gave no number ({how})"
+    (requirement,) = data["requirements"]
+    assert (requirement["met"], requirement["value"]) == (False, None)
+    assert requirement["why_not"] == f"step 'cover' gave no number ({how})"
     page = page_of(folder)
     assert f"This run did not finish: {how} in step cover" in page
     assert words in page
     assert "✗ cannot be judged" in page
     cases = cases_of(folder)
-    assert cases["covered"][0] == ("error", asked["why_not"])
+    assert cases["covered"][0] == ("error", requirement["why_not"])
     assert set(cases) == {"covered", "cover", "file", "the run finishes"}
     assert {p.name for p in folder.rglob("*") if p.is_file()} == {"result.json", "report.html", "junit.xml"}
     assert {p.name for p in (recipe / "out").iterdir()} == {"small"}
@@ -271,9 +271,9 @@ def test_a_number_that_is_not_there_after_all_is_a_fault_in_the_report(recipe, m
     monkeypatch.setattr(KINDS["sample"], "run", lambda *_: Outcome(None, "done", numbers))
     out = robustlab("run", "small.toml", code=code).out
     data = result(recipe / "out/small")
-    (asked,) = data["requirements"]
-    assert not asked["met"]
-    assert words in asked["why_not"]
+    (requirement,) = data["requirements"]
+    assert not requirement["met"]
+    assert words in requirement["why_not"]
     assert ("CANNOT BE JUDGED" in out) == bool(words)
     assert data["steps"][3]["status"] == "done"
     if words:

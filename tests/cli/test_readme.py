@@ -46,12 +46,12 @@ def test_command(folder, monkeypatch, command):
     monkeypatch.chdir(folder)
     words = command.split()
     assert words[0] == "robustlab"
-    # The one that says so ends with a requirement that is not met.
+    # The command marked with exit code 1 ends with an unmet requirement.
     assert robustlab(*words[1:], code=1 if "Kf=0.3" in command else 0).out.strip()
 
 
 def test_python(folder):
-    """The comments say what is printed."""
+    """Each comment states the printed value."""
     (code,) = re.findall(r"```python\n(.*?)```", README, re.S)
     done = _run(folder, "-c", code)
     assert done.returncode == 0, done.stderr

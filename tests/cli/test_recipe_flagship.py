@@ -106,7 +106,7 @@ def test_cover_and_design(tmp_path):
 
 @pytest.mark.slow
 def test_a_simulated_record_is_called_simulated(tmp_path):
-    """By the report of the record, and of what is compared with it; one whose recipe does not say so is measured."""
+    """The report marks the record and results compared with it; a record without this key is measured."""
     head = SMALL[: SMALL.index("[step.wide]")].replace("simulated = true\n", "", 1)
     compare = '[step.gap]\ndo = "compare"\nof = "plain"\nrecord = "held"\n'
     steps = {s["name"]: s for s in run_small(tmp_path, head + compare).data["steps"]}

@@ -31,8 +31,8 @@ def part_of_recipe(steps: list[str], changes: dict[str, str]) -> str:
 def actuator(tmp_path_factory):
     steps = ["actuator", "six", "task", "pid", "hinf", "performance", "runs"]
     all_four = 'controllers = ["pid", "hinf", "dk", "static"]'
-    changes = {all_four: 'controllers = ["pid", "hinf"]', "under all four": "under both"}
-    text = part_of_recipe(steps, changes).replace('of = "task"\ncontrollers', 'of = "task"\npoints = 8\ncontrollers')
+    text = part_of_recipe(steps, {all_four: 'controllers = ["pid", "hinf"]'})
+    text = text.replace('of = "task"\ncontrollers', 'of = "task"\npoints = 8\ncontrollers')
     return run_text(tmp_path_factory.mktemp("actuator"), text)
 
 

@@ -122,7 +122,7 @@ def without_a(write):
 
 
 def renewed(file):
-    file["A"][0, 0] = 5.0  # HDF5 renews its own checksum; the content hash tells
+    file["A"][0, 0] = 5.0  # HDF5 renews its own checksum; only the content hash detects it
 
 
 changed_afterwards = changed(renewed)
@@ -474,10 +474,10 @@ print(max(own, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) * 1024)
 """
 
 
-def told_and_taken(call, path):
-    """What a fresh process says of a file, and the bytes that it and its children took.
+def output_and_memory(call, path):
+    """Return the output of a fresh process about a file, and the bytes that it and its children took.
 
-    A child of this process, and by ``ru_maxrss`` even the fresh process, begin with the memory of all tests before.
+    A child of this process, and by ``ru_maxrss`` even the fresh process, starts with the memory of all tests before.
     """
     done = subprocess.run(
         [sys.executable, "-c", MEASURED.format(call=call), str(path)], capture_output=True, text=True, check=True
@@ -588,14 +588,14 @@ BOMBS = {
 def test_matlab_files_that_grow_are_refused(what, tmp_path):
     make, words = BOMBS[what]
     (tmp_path / "p.mat").write_bytes(HEADER + make())
-    message, taken = told_and_taken("import robustlab; robustlab.load(sys.argv[1])", tmp_path / "p.mat")
+    message, taken = output_and_memory("import robustlab; robustlab.load(sys.argv[1])", tmp_path / "p.mat")
     assert re.search(rf"p\.mat: {words}", message)
     assert taken < 1 << 31
 
 
 def test_lengths_of_matlab_files(tmp_path):
     longer = bytearray(HEADER + zeros(4, "x"))
-    longer[-36:-32] = struct.pack("<I", 4096)  # the data say that they go on beyond their matrix
+    longer[-36:-32] = struct.pack("<I", 4096)  # the data size extends beyond its matrix
     (tmp_path / "p.mat").write_bytes(longer)
     with pytest.raises(InputError, match="damaged"):
         rl.load(tmp_path / "p.mat")

@@ -39,7 +39,7 @@ def test_units_that_disagree(units):
 
 
 def test_another_unit_of_the_same_measure_is_converted_and_reported():
-    """The record says millimetres and holds them: the gap is that of the same record in metres."""
+    """A record in millimetres has the same model error as in metres."""
     plain = rl.compare(rl.plant("servo-axis"), record(units={"q": "m"}))
     other = record(inputs={"u": 1e3 * U}, outputs={"q": 1e3 * Q}, units={"u": "mV", "q": "mm"})
     found = rl.compare(rl.plant("servo-axis"), other)

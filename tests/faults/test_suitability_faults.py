@@ -63,7 +63,7 @@ def test_less_than_a_period_of_an_oscillation_is_too_short():
 
 
 def test_ripple_does_not_turn_a_sign():
-    """A motor at a steady current whose ripple answers its cogging: the step at the start tells the sign."""
+    """A motor at a steady current whose ripple compensates its cogging: the step at the start shows the sign."""
     t = np.arange(0.0, 1.0, 1e-3)
     motor = rl.plant("servo-axis", M=2.5e-4, Fv=0.0, gain=0.06)
     ripple = 0.3 * np.sin(0.5 * 40.0 * t**2)

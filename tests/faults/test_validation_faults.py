@@ -81,7 +81,7 @@ def test_a_singular_noise_model(call):
 
 
 class Panic(BaseException):
-    """What a native solver may raise: no Exception."""
+    """Raised by a native solver: not an Exception."""
 
 
 def broken(kind):

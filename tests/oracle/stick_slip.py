@@ -40,7 +40,7 @@ def stick_slip(plant, velocity, coulomb, t, u, *, static=None, inertia=None, x0=
     step = cache(lambda slide, h: expm(motion(slide)[0] * h))
 
     def left(slide, z):
-        """What may not become negative: the sliding speed, or what is left of the holding force."""
+        """Return the event function, which stays nonnegative: sliding speed, or reserve of the holding force."""
         return slide * z[at] if slide else holding * (1 + 1e-12) - abs(motion(0)[1] @ z)
 
     def ahead(s, slide, matrix, z):

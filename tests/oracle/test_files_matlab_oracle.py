@@ -105,7 +105,7 @@ def test_python_control_in_and_out(ext, tmp_path):
 
 
 def test_plain_h5py_reads_format_1_as_documented(tmp_path):
-    """What a reader in another language sees: 2-D float64, text datasets of fixed length, checksums, old superblock."""
+    """A reader in another language gets 2-D float64, text datasets of fixed length, checksums, old superblock."""
     rl.save(tmp_path / "p.h5", rl.StateSpaceModel(A, B, C, D, 0.1, [("u", "V"), ("Störung", "N m")], [("phi", "rad")]))
     with h5py.File(tmp_path / "p.h5") as file:
         assert file.attrs["format"] == "robustlab"  # text attributes come back as str

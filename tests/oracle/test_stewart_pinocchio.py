@@ -65,7 +65,7 @@ def test_published_dynamics():
     np.testing.assert_allclose(hold, 0.87012e-3, rtol=1.2e-5)
     legs = PinocchioStewart(replace(THESIS, platform=disc(1e-12)))
     np.testing.assert_allclose(legs.trim_torque(HOME), 0.3575e-3, atol=0.00006e-3)
-    other_side = PinocchioStewart(replace(THESIS, offset_sign=-1.0))  # the printed torque tells the motors' side
+    other_side = PinocchioStewart(replace(THESIS, offset_sign=-1.0))  # the printed torque determines the motors' side
     np.testing.assert_allclose(other_side.trim_torque(HOME), 0.87051e-3, rtol=1e-5)
     M = model.mass_matrix(HOME)
     assert b_change(M, model.mass_matrix(at(0.1062))) == pytest.approx(-1.044, abs=6e-4)  # case 1
@@ -231,6 +231,6 @@ def test_a_member_is_the_tree_with_its_masses(uncertain, seed):
     np.testing.assert_allclose(member.B[6:], gain, atol=1e-10 * np.abs(gain).max())
     k = stiffness(model)
     np.testing.assert_allclose(member.A[6:, :6], k, atol=1e-6 * np.abs(k).max())
-    # the change is what is told: twenty percent of mass move the stiffness by much more than that
+    # the change is well above these tolerances: 20 % of mass change the stiffness by much more
     change = np.abs(member.A[6:, :6] - uncertain.nominal.A[6:, :6]).max()
     assert change > 1e-3 * np.abs(k).max()

@@ -78,7 +78,7 @@ def test_scherer_1997_example_7():
 
 
 @pytest.mark.shared
-@pytest.mark.skipif(not MASS.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not MASS.exists(), reason="measured data not next to the checkout")
 def test_mass_damper_spring():
     data = {k: np.array(v) for k, v in json.loads(MASS.read_text(encoding="utf-8"))["plant"].items()}
     w, z = slice(3, None), slice(3, None)  # the performance channel; the first three belong to Delta
@@ -99,7 +99,7 @@ def compleib(name, best="gamma_full_best_verified"):
 
 @pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not next to the checkout")
 def test_a_plant_whose_best_loops_lose_digits_says_so():
     """The optimum of NN3 has controller poles so fast that neither norm nor stability can be vouched for there."""
     plant, n_y, n_u, best = compleib("NN3")
@@ -110,7 +110,7 @@ def test_a_plant_whose_best_loops_lose_digits_says_so():
 
 
 @pytest.mark.shared
-@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not next to the checkout")
 @pytest.mark.parametrize("name", PLANTS)
 def test_compleib_plants_reach_the_best_known_gamma(name):
     plant, n_y, n_u, best = compleib(name)
@@ -120,7 +120,7 @@ def test_compleib_plants_reach_the_best_known_gamma(name):
 
 
 @pytest.mark.shared
-@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not next to the checkout")
 @pytest.mark.parametrize(
     "name", ["NN1", "AC5", "DIS5", "HE1", "NN3", "HF2D13", "ROC7", "PSM", "TF1", "HE5", "CSE1", "EB5"]
 )
@@ -128,7 +128,7 @@ def test_compleib_plants_reach_the_best_known_h2_norm(name):
     plant, n_y, n_u, best = compleib(name, "h2_full_best_verified")
     design = h2(plant, n_y, n_u)
     # Without penalty and noise of its own NN3 gets a controller pole of 4e8 rad/s: whether the stability of that loop
-    # is proved turns on the last bits of the processor's linear algebra. Where it is not, the result says so.
+    # is proved turns on the last bits of the processor's linear algebra. If it is not, the result reports it.
     unproved = name == "NN3" and design.reason.startswith("stability rests on ill-conditioned eigenvalues")
     assert design.status is (Status.INACCURATE if unproved else Status.CONVERGED)
     assert design.gamma <= 1.001 * best
@@ -138,7 +138,7 @@ def test_compleib_plants_reach_the_best_known_h2_norm(name):
 
 
 @pytest.mark.shared
-@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not next to the checkout")
 def test_a_plant_whose_direct_term_no_controller_cancels_is_refused():
     plant, n_y, n_u, _ = compleib("NN13")
     with pytest.raises(NoTrustworthyNumber, match="infinite for every controller"):
@@ -149,7 +149,7 @@ def test_a_plant_whose_direct_term_no_controller_cancels_is_refused():
 
 
 @pytest.mark.shared
-@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not beside the checkout")
+@pytest.mark.skipif(not COMPLEIB.exists(), reason="measured data not next to the checkout")
 @pytest.mark.parametrize("name", ["NN15", "AC17", "AC5"])
 def test_static_output_feedback_reaches_the_best_known(name):
     P, n_y, n_u, best = compleib(name, "static_hinf_best")

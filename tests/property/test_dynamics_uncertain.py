@@ -74,7 +74,7 @@ def test_thesis_equations_10_1_to_10_4():
 
 
 def test_parameter_in_outputs_and_of_higher_rank():
-    """Not only E, F, G: a sensor gain, a feed-through, and a parameter that stands in two independent equations."""
+    """Not only E, F, G: a sensor gain, a feed-through, and a parameter that occurs in two independent equations."""
 
     def equations(p):
         return Descriptor(

@@ -1,4 +1,4 @@
-"""What holds for every matrix: order of the bounds, evidence that re-checks, invariances, no successful attack."""
+"""Properties of mu for all matrices: order of the bounds, evidence that re-checks, invariances, no attack succeeds."""
 
 import numpy as np
 import pytest

@@ -33,7 +33,7 @@ toml_values = st.recursive(
 
 
 def message_of(text: str, **overrides: str) -> str:
-    """What the loader says; "" where it takes the text as a recipe."""
+    """Return the message of the loader; "" if it accepts the text as a recipe."""
     try:
         return "" if isinstance(parse_recipe(text, "r.toml", overrides), Recipe) else "no recipe"
     except (InputError, UsageError) as error:

@@ -64,7 +64,7 @@ def test_a_reduced_controller_loses_the_reported_share_and_no_more_than_allowed(
     loop = p[:, :2, :2] + p[:, :2, 2:] @ k @ np.linalg.solve(1 - p[:, 2:, 2:] @ k, p[:, 2:, :2])
     assert np.linalg.norm(loop, 2, axis=(1, 2)).max() <= small.gamma * (1 + 1e-9)
     assert small.gamma <= design.gamma * (1 + loss) * (1 + 1e-5)
-    peak = rl.peak_gain(small.closed_loop)  # wide where the closed loop is badly conditioned, and never beside gamma
+    peak = rl.peak_gain(small.closed_loop)  # wide if the closed loop is badly conditioned, but always contains gamma
     assert peak.lower * (1 - 1e-5) <= small.gamma <= peak.upper * (1 + 1e-5)
 
 

@@ -64,7 +64,7 @@ def test_it_is_read_where_there_is_no_casadi(tmp_path):
     assert found.stdout.strip() == "639.336"
 
 
-# --- files that lie --------------------------------------------------------------------------------------------------
+# --- forged files ---------------------------------------------------------------------------------------------------
 
 
 def put(tree, path, values):
@@ -101,7 +101,7 @@ def dropped(path):
 
 
 T = "plant/tapes"
-LIES = [
+FORGERIES = [
     (changed(f"{T}/rates/operations", 3, 99), "/plant/tapes/rates/operations: entry 3 is 99"),
     (changed(f"{T}/rates/left", 0, 10**6), "/plant/tapes/rates/left: entry 0 is 1000000"),
     (changed(f"{T}/models/right", 0, -7), "/plant/tapes/models/right: entry 0 is -7"),
@@ -131,11 +131,11 @@ LIES = [
 ]
 
 
-@pytest.mark.parametrize("case", range(len(LIES)))
+@pytest.mark.parametrize("case", range(len(FORGERIES)))
 def test_a_file_with_a_false_claim_is_rejected_by_name(case):
-    lie, message = LIES[case]
+    forge, message = FORGERIES[case]
     tree = trees()
-    lie(tree)
+    forge(tree)
     with pytest.raises(rl.RobustlabError, match=message):
         decoded(tree)
 

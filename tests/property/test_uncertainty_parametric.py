@@ -43,7 +43,7 @@ MOTOR = ([["-R/L", "-K/L"], ["K/J", "-b/J"]], [["1/L"], [0]], [[0, 1]], [[0]])
         (SPRING, {"m": (3.0, 0.4), "c": (1.0, 0.2), "k": (2.0, 0.3)}, {"m": 1, "c": 1, "k": 1}),
         # Wie and Bernstein's benchmark, with damping
         (TWO_MASS, tolerance(m1=1.0, m2=1.0, k=1.0, c=0.1), {"m1": 1, "m2": 1, "k": 1, "c": 1}),
-        # K stands in two rows and two columns: a matrix coefficient of rank 2 needs it twice
+        # K occurs in two rows and two columns: a matrix coefficient of rank 2 needs it twice
         (MOTOR, tolerance(R=2.0, L=0.5, K=0.1, J=0.02, b=0.1), {"R": 1, "L": 1, "K": 2, "J": 1, "b": 1}),
     ],
 )

@@ -215,7 +215,7 @@ def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequenc
     rest = f"any controller has at least {floor:.4g}"
     if len(blocks) == 1 and not blocks[0].interval and blocks[0].d_order == 1:
         return f"{text}; one full block: mu is the norm that H-infinity makes smallest, D has nothing to change; {rest}"
-    return f"{text}; {rest}, and what lies between is not decided: the search is local"
+    return f"{text}; {rest}; values between are not decided, because the search is local"
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,8 +77,8 @@ class Controller(Displayable, Traced):
         return self.K
 
     def facts(self) -> Facts:
-        said = self.law or "not known: say it where a loop is closed"
-        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
+        law = self.law or "not known: state it when closing a loop"
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", law), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:
         return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method, "law": self.law}

@@ -232,7 +232,7 @@ def _at_zeros(p: PlantMatrices, scaling: Scaling) -> tuple[complex, float]:
 
 def _cost_of_zero(p: PlantMatrices, zero: complex) -> float:
     """Return ``|v P11|`` at the zero of P12 next to this one, less rounding of both; 0 if P12 has no zero there."""
-    # With v P12 = 0 to rounding, the true zero lies within (|v P12| + e) / |v P12' u|.
+    # With v P12 = 0 to rounding, the true zero is within (|v P12| + e) / |v P12' u|.
     A, B, C, n_w = p.A, np.hstack([p.B1, p.B2]), p.C1, p.B1.shape[1]
     (P,), (error,) = _responses(A, B, C, np.hstack([p.D11, p.D12]), np.array([zero]))
     if not (np.isfinite(P).all() and np.isfinite(error).all()):

@@ -184,7 +184,7 @@ def require_performance(plant: GeneralizedPlant, where: str, hint: str = NO_PERF
         return
     missing = " and ".join(["no disturbance w"] * (not into) + ["no performance output z"] * (not out))
     size = f"P of {plant.model.n_inputs} inputs and {plant.model.n_outputs} outputs has"
-    rest = f"beside {plant.n_con} controls and {plant.n_meas} measurements"
+    rest = f"in addition to {plant.n_con} controls and {plant.n_meas} measurements"
     if plant.blocks:
         rest += f" and the channels of {listed(b.name for b in plant.blocks)}: no performance channel is left"
     raise InputError(where, f"{size} {missing} {rest}", "at least one of both", hint)

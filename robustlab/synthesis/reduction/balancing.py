@@ -134,7 +134,7 @@ def split_stable(model: StateSpaceModel) -> SplitModel:
         t, q, k = np.asarray(form[0]), np.asarray(form[1]), int(form[-1])
         x = solve_sylvester(t[:k, :k], -t[k:, k:], -t[:k, k:]) if 0 < k < n else np.zeros((k, n - k))
     except LinAlgError:
-        raise NoTrustworthyNumber("stable part", "its poles cannot be told from the others") from None
+        raise NoTrustworthyNumber("stable part", "its poles cannot be distinguished from the others") from None
     basis = np.hstack([q[:, :k], q[:, :k] @ x + q[:, k:]])
     out, low = c @ basis, q.T @ b
     parts = (

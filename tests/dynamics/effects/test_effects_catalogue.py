@@ -45,7 +45,7 @@ def test_it_runs_at_each_of_its_sites(name, plant_name):
             assert footprint.gain_lower <= footprint.gain_upper
             known_numbers = [f.name for f in fields(footprint) if f.type == "float" and f.name != "describing"]
             assert all(np.isfinite(getattr(footprint, field)) for field in known_numbers)
-            # NaN: no describing function; else it lies within the sector.
+            # NaN: no describing function; else it is within the sector.
             gain = footprint.describing
             assert np.isnan(gain) or footprint.gain_lower <= gain <= footprint.gain_upper
 

@@ -34,8 +34,8 @@ def settings_of(n, **more):
 # --- a sample is a pure function of its index ---------------------------------------------------------------------
 
 
-def ran(tmp_path, model, asked, workers=1, **more):
-    return run_campaign(model, asked, tmp_path / f"{workers}.sqlite", crew=Crew(workers), **more)
+def ran(tmp_path, model, settings, workers=1, **more):
+    return run_campaign(model, settings, tmp_path / f"{workers}.sqlite", crew=Crew(workers), **more)
 
 
 def test_samples_equal_those_of_rl_sample(motor):
@@ -128,16 +128,16 @@ def test_invalid_settings_are_rejected(change, error, text):
 
 
 @pytest.mark.parametrize(
-    ("asked", "error", "text"),
+    ("settings", "error", "text"),
     [
         (CampaignSettings("hinff", 10), UsageError, "did you mean hinf?"),
         (settings_of(10, output="speed"), InputError, "no such signal"),
         (settings_of(10, u={"v": 1.0}), InputError, "no such input"),
     ],
 )
-def test_the_metric_is_checked_before_any_worker_starts(motor, asked, error, text, tmp_path):
+def test_the_metric_is_checked_before_any_worker_starts(motor, settings, error, text, tmp_path):
     with pytest.raises(error) as caught:
-        run_campaign(motor, asked, tmp_path / "s.sqlite")
+        run_campaign(motor, settings, tmp_path / "s.sqlite")
     assert text in str(caught.value)
     assert not list(tmp_path.iterdir())
 

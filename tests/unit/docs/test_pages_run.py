@@ -242,7 +242,7 @@ def every_page() -> list[Path]:
 
 @pytest.mark.parametrize("page", every_page(), ids=lambda page: page.relative_to(DOCS).as_posix())
 def test_a_page_leads_somewhere_and_names_what_there_is(page):
-    """What the site's build checks as well, here in a moment."""
+    """A fast form of the checks of the site's build."""
     text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
     for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
         if "://" in target:
@@ -253,7 +253,7 @@ def test_a_page_leads_somewhere_and_names_what_there_is(page):
 
 
 def test_every_page_is_in_the_contents():
-    """A page in no table of contents is found by nobody; the build says so too."""
+    """Every page is in a table of contents; the build checks this, too."""
     from fnmatch import fnmatch
 
     held = []

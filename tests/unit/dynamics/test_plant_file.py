@@ -140,8 +140,8 @@ FAULTS = {
     "bytes": (b"\xff\xfe\x00\x01", "bad.py"),
     "empty": ("", "bad.py: no plant 'axis' in it, expected a file that defines a plant"),
     "raises at import": ("x = 1\ny = x / 0\n", "bad.py, line 2: ZeroDivisionError: division by zero"),
-    "raises in a module beside it": ("import beside\n", "beside.py, line 2: KeyError: 'nothing'"),
-    "no Python in a module beside it": ("import torn\n", "torn.py, line 1: is no Python: "),
+    "raises in a module next to it": ("import neighbour\n", "neighbour.py, line 2: KeyError: 'nothing'"),
+    "no Python in a module next to it": ("import torn\n", "torn.py, line 1: is no Python: "),
     "raises in the function": (
         "def axis():\n    return [][1]\n", "bad.py, line 2: IndexError: list index out of range"),
     "calls itself": ("def axis():\n    return axis()\n", "bad.py, line 2: RecursionError: maximum recursion depth"),
@@ -178,7 +178,7 @@ EQUATIONS = {
 def test_a_faulty_file_gives_one_line(tmp_path, monkeypatch, fault):
     content, expected = FAULTS[fault]
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "beside.py").write_text("x = {}\nx['nothing']\n")
+    (tmp_path / "neighbour.py").write_text("x = {}\nx['nothing']\n")
     (tmp_path / "torn.py").write_text("x = (\n")
     (tmp_path / "bad.py").write_bytes(content if isinstance(content, bytes) else content.encode())
     modules = set(sys.modules)
@@ -186,7 +186,7 @@ def test_a_faulty_file_gives_one_line(tmp_path, monkeypatch, fault):
         rl.plant("bad.py:axis")
     assert str(caught.value).startswith(expected)
     assert "\n" not in caught.value.line
-    assert not {"beside", "torn"} & (set(sys.modules) - modules)
+    assert not {"neighbour", "torn"} & (set(sys.modules) - modules)
 
 
 @pytest.mark.parametrize(("right", "wrong"), [(right, wrong) for right in EQUATIONS for wrong in EQUATIONS[right]])

@@ -75,12 +75,12 @@ def test_parameters_are_within_the_tolerances_printed_and_assumed():
     for name, (ratio, tolerance) in (printed | assumed).items():
         assert 0 < abs(ratio - 1) <= tolerance, name
     text = " ".join(of.__doc__.split())
-    assert "one that we assume (R 10 %, L 10 %, motor constant 5 %, rotor 10 %)" in text
+    assert "assumed ones (R 10 %, L 10 %, motor constant 5 %, rotor 10 %)" in text
 
 
 @pytest.mark.slow  # 30 s
 def test_its_hidden_effects_are_named():
-    """Parameters of its script: a driver that loses 0.6 V, and dry friction of 6 mN m with presliding, still there."""
+    """Parameters of its script: a driver drop of 0.6 V, and dry friction of 6 mN m with presliding."""
     record = rl.Record.read(FOLDER / "motor_record.csv", inputs=["u"], outputs=["phi", "i"])
     found = rl.discover(rl.plant("dc-motor"), record)
     assert (found.verdict, found.complete) == ("named", False)

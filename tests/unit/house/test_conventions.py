@@ -32,7 +32,7 @@ def pd(takes, names=("q", "v"), gains=(3.0, 1.0)):
     return rl.Controller(K, takes=takes)
 
 
-# --- every design says what it takes ----------------------------------------------------------------------------------
+# --- every design states its input -----------------------------------------------------------------------------------
 
 
 def designs():
@@ -136,7 +136,7 @@ def test_digital_and_smaller_controllers_take_the_same():
         assert law(other.inputs) == "u = K y"
 
 
-# --- every function closes it alike, and says so ----------------------------------------------------------------------
+# --- every function uses and reports the same sign --------------------------------------------------------------------
 
 NCF = rl.ncf(OSCILLATORS.nominal, 4.0)  # u = K y: with negative feedback, the default of old, the loop is another
 SIGNED = {
@@ -166,8 +166,8 @@ def test_by_default_the_sign_is_that_of_the_controller_and_a_contradiction_is_re
 def test_a_result_reports_its_loop():
     assert ("loop", "u = K y, as the controller says") in rl.disk_margin(OSCILLATORS.nominal, NCF.K).facts()
     gain = rl.StateSpaceModel([], [], [], [[0.5]])
-    assert rl.disk_margin(OSCILLATORS.nominal, gain).loop == "u = -K y, negative feedback; nothing else is said of it"
-    assert rl.disk_margin(OSCILLATORS.nominal, gain, sign=1).loop == "u = K y, as asked"
+    assert rl.disk_margin(OSCILLATORS.nominal, gain).loop == "u = -K y, negative feedback by default"
+    assert rl.disk_margin(OSCILLATORS.nominal, gain, sign=1).loop == "u = K y, as requested"
 
 
 def test_an_lft_takes_the_sign_too():
@@ -203,7 +203,7 @@ def test_a_tracking_loop_follows_by_the_sign_that_was_found():
         assert tracking_loop(G, K).nominal.dc_gain()[0, 0] == pytest.approx(2.0)
 
 
-# --- what does not fit says why ---------------------------------------------------------------------------------------
+# --- messages about wrong signals -------------------------------------------------------------------------------------
 
 
 def test_other_signals_are_refused():
@@ -229,10 +229,10 @@ def test_an_unknown_plant_is_closed_by_the_sign_that_is_stable_or_not_at_all():
     weak = rl.Controller(rl.StateSpaceModel([], [], [], [[0.3]], inputs=["q"], outputs=["u"]), takes="y").K
     with pytest.raises(InputError, match="it takes q, this plant has position, and both signs leave the loop stable"):
         rl.disk_margin(other, weak)
-    assert rl.disk_margin(other, weak, sign=-1).loop == "u = -K y, as asked"
+    assert rl.disk_margin(other, weak, sign=-1).loop == "u = -K y, as requested"
 
 
-def test_an_operation_that_assumes_nothing_asks():
+def test_an_operation_without_an_assumed_sign_requires_one():
     weak = rl.StateSpaceModel([], [], [], [[0.3]])
     with pytest.raises(InputError, match="does not say its sign, and both signs leave the loop stable"):
         closing(PLANT, weak, None, "mu", None)

@@ -79,7 +79,7 @@ def test_a_hint_in_three_syntaxes(hint, command, step):
 
 
 def test_the_missing_input_of_a_step_is_reported_in_each_interface(tmp_path, monkeypatch, capsys):
-    """Of one input it is a unit step, as the help says; of two the hint shows how to choose."""
+    """One input gets a unit step, as in the help; for two the hint shows how to choose."""
     monkeypatch.chdir(tmp_path)
     rows = [[0, 0, 0], [0, 0, 0]]
     M = rl.StateSpaceModel([[-1.0]], [[0.4, 1, 1]], [[1], [1]], rows, inputs=["w", "r", "d"], outputs=["z", "y"])

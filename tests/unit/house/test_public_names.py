@@ -125,7 +125,7 @@ def sections(doc: str) -> set[str]:
 
 
 def lacking(obj: object) -> list[str]:
-    """What the docstring of a public name does not have."""
+    """Return the missing parts of the docstring of a public name."""
     doc = inspect.cleandoc(obj.__doc__ or "")
     found = sections(doc)
     if inspect.isclass(obj):

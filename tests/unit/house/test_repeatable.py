@@ -60,8 +60,8 @@ of = "set"
 metric = "hinf"
 effort = 0.0002
 """
-# What is asked, and a pattern of what is printed.
-ASKED = {
+# Snippets, each with a pattern of its output.
+SNIPPETS = {
     "mu to a tolerance": ("""
 rng = np.random.default_rng(3)
 M = rng.standard_normal((2, 8, 8)) + 1j * rng.standard_normal((2, 8, 8))
@@ -103,9 +103,9 @@ print(code, [(s["name"], s["status"]) for s in steps], digest(steps))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ASKED)
+@pytest.mark.parametrize("what", SNIPPETS)
 def test_the_answer_is_the_same_under_load(what):
-    snippet, pattern = ASKED[what]
+    snippet, pattern = SNIPPETS[what]
     assert re.search(pattern, same_under_load(snippet), re.DOTALL)
 
 

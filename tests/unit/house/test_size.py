@@ -1,6 +1,6 @@
-"""What may only go down: lines of Python in each package; and tests import no module from inside of a package.
+"""Lines of Python in each package may only decrease; tests import no inner module of a package.
 
-``python tests/unit/house/test_size.py`` prints the table as it is now. A change may lower a number, never raise one.
+``python tests/unit/house/test_size.py`` prints the current table. A change may lower a number, never raise one.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""What one asks of any kind of model: loops, values, poles and zeros, step responses, numbers in print."""
+"""Operations common to all kinds of models: loops, values, poles and zeros, step responses, printing."""
 
 import subprocess
 import sys
@@ -146,7 +146,7 @@ def test_every_kind_answers_or_names_the_way(kind, question, given):
 
 @pytest.mark.slow
 def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):
-    told = {
+    expected = {
         'rl.plant("dc-motor")': "LinearPlant",
         'rl.plant("dc-motor").uncertain()': "UncertainModel",
         'rl.plant("stewart-platform")': "StewartPlatform",
@@ -156,11 +156,11 @@ def test_an_editor_knows_the_methods_of_plants_and_models(tmp_path):
         "rl.tf([1], [1, 1]).step()": "Record",
         "rl.tf([1], [1, 1])(1j)": "ndarray[tuple[Any, ...], dtype[complex128]]",
     }
-    lines = ["import robustlab as rl", *(f"reveal_type({text})" for text in told)]
+    lines = ["import robustlab as rl", *(f"reveal_type({text})" for text in expected)]
     (tmp_path / "user.py").write_text("\n".join(lines))
     command = [sys.executable, "-m", "pyright", "--pythonpath", sys.executable, "user.py"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=300)
-    said = [
+    revealed = [
         line.rpartition(" is ")[2].strip('"') for line in done.stdout.splitlines() if "information: Type of" in line
     ]
-    assert said == list(told.values()), done.stdout
+    assert revealed == list(expected.values()), done.stdout

@@ -394,7 +394,7 @@ def only(inputs, outputs, n=N):
 
 
 @pytest.mark.parametrize(
-    ("plant", "records", "options", "said"),
+    ("plant", "records", "options", "message"),
     [
         (AXIS, list, {}, r"discover.*no record.*at least one"),
         (AXIS, with_holes, {}, r"holes.*windows of \d+ samples without gaps.*at least 4"),
@@ -412,6 +412,6 @@ def only(inputs, outputs, n=N):
         (AXIS, lambda: only({"u": 0 * U}, {"q": 1e-6 * np.random.default_rng(1).normal(size=N)}), {}, "run 8"),
     ],
 )  # fmt: skip
-def test_unsuitable_input_is_an_error(plant, records, options, said):
-    with pytest.raises((InputError, NoTrustworthyNumber), match=said):
+def test_unsuitable_input_is_an_error(plant, records, options, message):
+    with pytest.raises((InputError, NoTrustworthyNumber), match=message):
         rl.discover(plant, records(), **options)

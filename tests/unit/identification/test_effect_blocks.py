@@ -1,4 +1,4 @@
-"""Effects as blocks: members are the plants with the effects' gains, delays lie inside their weights, origins stay."""
+"""Effects as blocks: members are the plants with the effects' gains, delays are inside their weights, origins stay."""
 
 import dataclasses
 import math
@@ -95,7 +95,7 @@ def test_every_delay_lies_inside_the_weight(spread, pade):
         k = 20000
         member = made.response(omega[k : k + 1], {"delay": [[error[k] / weight[k]]]})[0, 0, 0]
         assert member == pytest.approx(np.exp(-1j * omega[k] * d), rel=1e-9)
-    # and is no larger than it needs to be: the error falls again and again, the weight lies above its hull
+    # and is not much larger than necessary: the error decreases repeatedly, the weight bounds its running maximum
     hull = np.maximum.accumulate(largest)
     assert (np.abs(weight) / hull)[hull > 0.1].max() < 1.75
 
@@ -119,7 +119,7 @@ def test_dry_friction_is_a_bounded_force_at_every_speed():
 
 @pytest.mark.parametrize("share", [-1.0, 0.0, 1.0])
 def test_friction_both_ways_makes_every_motion_within_its_reach(share):
-    """-k v + e, |e| <= Fc, is the true force at each instant: standing still, moving, for every gain of the block."""
+    """-k v + e, |e| <= Fc, is the true force at each instant: at standstill, moving, for every gain of the block."""
     both = uncertain_from(servo(coulomb_friction={"Fc": 20.0}), ["v"], amplitude={"v": (0.05, 0.5)}, dry="both")
     gain = next(b.parameter for b in both.model.blocks if "coulomb" in b.name).value(share)
     (load,) = both.noise

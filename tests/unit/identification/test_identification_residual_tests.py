@@ -30,7 +30,7 @@ def test_ljung_box_follows_its_formula():
 
 def test_rejection_rate_on_white_noise_is_the_level():
     rejected = sum(whiteness(np.random.default_rng(s).standard_normal(400), 20).p_value < 0.05 for s in range(400))
-    assert 8 <= rejected <= 34  # binomial(400, 0.05) lies within with 99.8 %
+    assert 8 <= rejected <= 34  # binomial(400, 0.05): within these with 99.8 %
 
 
 def test_coloured_noise_is_always_rejected_and_its_predictable_share_is_known():
@@ -51,7 +51,7 @@ def test_rejection_rate_of_an_independent_input_is_the_level(kind):
 
 
 def test_band_holds_for_coloured_signals():
-    # An independent AR(1) residual and input: about 99 % of the correlations must lie within the corrected band.
+    # An independent AR(1) residual and input: about 99 % of the correlations must be within the corrected band.
     inside = []
     for seed in range(150):
         test = input_correlation(_ar1(2 * seed, 3000, 0.9), _ar1(2 * seed + 1, 3000, 0.9), 60)

@@ -165,8 +165,8 @@ def test_a_range_wider_on_one_side_has_its_exact_margin_in_little_work(A, B, C, 
 
 
 def test_the_text_of_a_margin_below_one_begins_with_not_robust():
-    told = rl.robust_stability(lag(2.0)).facts()[0]
-    assert told == ("the set as stated", "not robust: the member at k = 0.5 is unstable")
+    first = rl.robust_stability(lag(2.0)).facts()[0]
+    assert first == ("the set as stated", "not robust: the member at k = 0.5 is unstable")
     assert rl.robust_stability(lag(0.5)).headline() == "proved stable for every Delta of the set"
 
 

@@ -1,4 +1,4 @@
-"""What the analysis of sets and loops refuses: requests that make no sense, and questions without an answer."""
+"""Refusals of the analysis of sets and loops: invalid requests, and problems without an answer."""
 
 import numpy as np
 import pytest

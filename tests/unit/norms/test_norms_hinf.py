@@ -233,10 +233,10 @@ def test_a_pole_on_the_boundary_counts_in_its_band_alone():
     double = rl.StateSpaceModel(twice, np.eye(4)[:, 3:], np.eye(4)[:1], [[0.0]])
     assert rl.peak_gain(double, band=(0.5, 5.0)).status is Status.CERTIFIED
     assert rl.peak_gain(double, band=(2.0, 5.0)).lower == pytest.approx(1 / 9, rel=1e-9)
-    # an integrator, and a pole in the band that may or may not lie on the axis
+    # an integrator, and a pole in the band that may or may not be on the axis
     A = np.array([[0.0, 0, 0], [0, 0, 1], [0, -1, -1e-16]])
-    beside = rl.StateSpaceModel(A, np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
-    assert rl.peak_gain(beside, band=(0.5, 5.0)).status is Status.INACCURATE
+    nearby = rl.StateSpaceModel(A, np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
+    assert rl.peak_gain(nearby, band=(0.5, 5.0)).status is Status.INACCURATE
     summing = rl.StateSpaceModel([[1.0]], [[1.0]], [[1.0]], [[0.0]], 0.1)
     assert rl.peak_gain(summing, band=(2.0, 5.0)).lower == pytest.approx(1 / abs(np.exp(0.2j) - 1), rel=1e-9)
     assert rl.peak_gain(summing, band=(0.0, 5.0)).value == np.inf

@@ -142,7 +142,7 @@ def test_an_override_without_key_and_value_is_a_usage_error(tmp_path, item):
         load_recipe(path, [item])
 
 
-# --- where files may lie ---------------------------------------------------------------------------------------------
+# --- allowed folders of files -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -99,7 +99,7 @@ def test_a_long_report_keeps_its_size(tmp_path):
 @pytest.mark.parametrize(
     ("value", "limits", "words"),
     [
-        (779.0832, [779.05, 779.15], "779.083"),  # close to a limit: digits that tell on which side
+        (779.0832, [779.05, 779.15], "779.083"),  # close to a limit: enough digits to show the side
         (0.58882791, [None, 1.0], "0.5888"),
         (123456.789, [1.0, None], "123457"),
         (0.58882791, None, "0.588828"),

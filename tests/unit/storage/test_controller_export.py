@@ -79,9 +79,9 @@ def simulated(model, gain, limits, y):
     low, high = np.transpose(limits)
     x, out, states = np.zeros(model.n_states), [], [np.zeros(model.n_states)]
     for row in y:
-        asked = model.C @ x + model.D @ row
-        held = np.minimum(np.maximum(asked, low), high)
-        x = model.A @ x + model.B @ row + gain @ (held - asked)
+        demand = model.C @ x + model.D @ row
+        held = np.minimum(np.maximum(demand, low), high)
+        x = model.A @ x + model.B @ row + gain @ (held - demand)
         out.append(held)
         states.append(x)
     return np.array(out), np.array(states)
@@ -179,7 +179,7 @@ def test_matlab_and_hdf5_give_back_every_bit(tmp_path):
 
 @needs_cc
 def test_the_header_of_a_mixed_sensitivity_design_has_the_stabilising_sign(tmp_path):
-    """The truth is the loop: fed as the header says it settles on the reference, fed the other way it does not."""
+    """Connected as in the header the loop settles on the reference; with the other sign it does not."""
     plant = rl.StateSpaceModel([[-20.0]], [[40.0]], [[1.0]], [[0.0]], inputs=[("u", "V")], outputs=[("omega", "rad/s")])
     design = rl.mixsyn(plant, rl.performance_weight(bandwidth=50.0, error=1e-3), rl.control_weight(0.1), None)
     digital = discretise(design.K, 1e-3, "tustin")

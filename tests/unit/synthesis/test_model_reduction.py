@@ -262,7 +262,7 @@ def mixed(apart, gain, seed=0, dt=0.0):
 
 
 def test_no_error_is_exceeded_where_modes_on_the_boundary_have_huge_gains():
-    # Judged in balls of 60 digits, beside the poles too, by code that shares none with the package.
+    # Judged in balls of 60 digits, also near the poles, by code independent of the package.
     pytest.importorskip("flint")
     from reduction_attack import run
 
@@ -274,7 +274,7 @@ def test_no_error_is_exceeded_where_modes_on_the_boundary_have_huge_gains():
 
 
 def test_a_peak_that_is_a_millionth_of_what_cancels_in_it_is_not_missed():
-    # The eigenvalues of the Hamiltonian miss it: the error was certified 7e-4 below what it is beside a resonance.
+    # The eigenvalues of the Hamiltonian miss it: the certified error was 7e-4 too low near a resonance.
     pytest.importorskip("flint")
     from reduction_attack import run
 
@@ -288,7 +288,7 @@ def test_an_unstable_mode_of_huge_gain_adds_what_its_rounding_may_be():
     assert quiet.status is loud.status is Status.CERTIFIED
     assert quiet.left_out == loud.left_out == ()
     assert quiet.error.upper <= quiet.bound * (1 + 1e-2)
-    # 1e14 times rounding is no small part of the error, and the bracket says so.
+    # 1e14 times rounding is a relevant part of the error, and the bracket contains it.
     assert loud.error.upper - loud.error.lower > 1e-4 * loud.error.upper
     assert quiet.error.lower <= loud.error.upper
 

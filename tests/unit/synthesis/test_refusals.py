@@ -1,4 +1,4 @@
-"""What synthesis refuses: requests that make no sense, and problems without a trustworthy answer, each by its name."""
+"""Refusals of synthesis: invalid requests, and problems without a trustworthy answer."""
 
 from functools import cache
 
@@ -102,7 +102,7 @@ DESIGNS = (
 ABSENT = ((0, 0, "w and no performance"), (0, 1, "w"), (1, 0, "output z"))
 REQUESTS = [
     *(
-        (lambda make=make, w=w, z=z: make(bare(w, z)), f"no .*{missing}.* beside 1 controls and 1 measurements")
+        (lambda make=make, w=w, z=z: make(bare(w, z)), f"no .*{missing}.* in addition to 1 controls and 1 measurements")
         for make in DESIGNS
         for w, z, missing in ABSENT
     ),

@@ -1,4 +1,4 @@
-"""What blocks, sets, weights and distances of models refuse."""
+"""Refusals of blocks, sets, weights and distances of models."""
 
 import numpy as np
 import pytest

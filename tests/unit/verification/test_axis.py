@@ -83,7 +83,7 @@ def test_an_unstable_nominal_model_is_refuted_however_small_mu_is():
     _, _, numbers, level = example("real", 0)
     unstable = numbers | {"A": -numbers["A"]}
     assert cases.outcome("mu-axis", unstable, level=level * 100) == "refuted"
-    # of a band nothing is said about stability
+    # a claim about a band says nothing about stability
     band = {"band": [0.0, np.inf]}
     assert check(cases.claimed("mu-axis", unstable, band, level=level * 1e4)).outcome is Outcome.PROVED
     assert "band" in check(cases.claimed("mu-axis", unstable, band, level=level * 1e4)).claim

@@ -84,12 +84,12 @@ def broken(numbers, change):
     "change",
     [
         lambda n: n["D_w"].__setitem__((0, 1), n["D_w"][0, 1] * (1 + 1e-15) + 1e-300),  # Hermitian no longer
-        lambda n: n["D_w"].__setitem__((0, 5), 1e-300),  # beside the blocks
+        lambda n: n["D_w"].__setitem__((0, 5), 1e-300),  # outside the blocks
         lambda n: n["D_z"].__setitem__((0, 0), n["D_z"][0, 0] * (1 + 1e-15)),  # two different D
         lambda n: n["D_w"].__setitem__((3, 3), n["D_w"][3, 3] * (1 - 1e-15)),  # a full block's D is no multiple of I
         lambda n: n["G"].__setitem__((2, 2), 1e-300),  # G of a complex block
         lambda n: n["G"].__setitem__((0, 0), n["G"][0, 0] + 1e-300j),  # G not Hermitian
-        lambda n: n["G"].__setitem__((0, 4), 1e-300),  # G beside the blocks
+        lambda n: n["G"].__setitem__((0, 4), 1e-300),  # G outside the blocks
         lambda n: n.update(D_w=-n["D_w"], D_z=-n["D_z"]),
         lambda n: n.update(blocks=n["blocks"][:-1]),
         lambda n: n.update(blocks=n["blocks"].astype(float)),

@@ -48,10 +48,10 @@ def request(metric, model, hold="zoh"):
 @pytest.mark.parametrize("metric", METRICS)
 def test_both_methods_agree(metric, dt, hold):
     model = random_set(2, dt)
-    asked = request(metric, model, hold)
-    values = violation_probability(model, limit=1.0, n=8, seed=1, **asked).values
+    arguments = request(metric, model, hold)
+    values = violation_probability(model, limit=1.0, n=8, seed=1, **arguments).values
     assert np.isfinite(values).sum() > 2
-    judge = make_metric(model, **asked)
+    judge = make_metric(model, **arguments)
     for value, delta in zip(values, sample(model, 8, seed=1).deltas, strict=True):
         assert judge.agrees(value, judge.evaluate(delta).value)
 
