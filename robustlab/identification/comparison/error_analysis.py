@@ -303,9 +303,9 @@ def _gap(signal: Signal, t: Array, y: Array, error: Array | None, local: Array) 
         peak, rms = float(np.abs(e).max()), float(np.sqrt(np.mean(e**2)))
         return peak, rms, peak * percent, rms * percent, 100.0 * (1.0 - rms / spread_rms) if spread_rms else np.nan
 
-    free = (np.nan,) * 5 if error is None else sizes(error)
+    whole, windowed = sizes(np.array([np.nan]) if error is None else error), sizes(local)
     at = np.nan if error is None else float(t[np.abs(error).argmax()])
-    return OutputGap(signal.name, signal.unit, spread, *free, at, *sizes(local))
+    return OutputGap(signal.name, signal.unit, spread, *whole, at, *windowed)
 
 
 def kept(record: Record, inputs: Sequence[str], outputs: Sequence[str], y: Array, title: str) -> Record:

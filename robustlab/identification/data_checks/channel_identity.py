@@ -246,7 +246,8 @@ def _from_responses(
         wrong = np.flatnonzero(np.isfinite(sure[:, i]) & (sure[:, i] != 1.0))
         own = likely[:, i][np.isfinite(likely[:, i])]
         if len(wrong) and np.allclose(own, own[0]) and (len(own) > 1 or (sure[wrong[0]] == 1.0).any()):
-            found += _contradiction((name,), 1.0 / sure[wrong[0], i], *factors[free[wrong[0]]].evidence(i), units)
+            because, data = factors[free[wrong[0]]].evidence(i)
+            found += _contradiction((name,), 1.0 / sure[wrong[0], i], because, data, units)
     if found:
         return found
     for row, j in zip(sure, free, strict=True):

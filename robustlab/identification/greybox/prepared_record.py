@@ -181,9 +181,9 @@ def prepare(
     push = push.reshape(-1, *push.shape[-2:]).mean(axis=0)
     smoothed, parts, constant = _states(plant, record, u, y, columns, own, push)
     measured = np.isfinite(y[:, own])
-    known, starts = measured.all(axis=1), list[int]()
+    known, starts = np.asarray(measured.all(axis=1)), list[int]()
     # Remaining samples are skipped at the beginning, where a plant with a delay responds to the time before.
-    for a, b in _between_gaps(~np.asarray(measured.any(axis=1), dtype=bool)):
+    for a, b in _between_gaps(~np.asarray(measured.any(axis=1))):
         starts += range(a + min((b - a) % length, length // 20), b - length + 1, length)
     usable = [s for s in starts if known[s : s + length].mean() > 0.5]
     if len(usable) < fewest:
