@@ -77,7 +77,6 @@ class Law:
         return (above - np.bincount(self.below % (n + 1), by * top * share, n + 1))[:n]
 
     def model(self, p: AnyArray, dt: float, inputs: Any = None, outputs: Any = None) -> StateSpaceModel:
-        """Return the controller as a model."""
         k = self.sizes[0]
         return StateSpaceModel(*unpacked(self.packed(p), k), dt, inputs, outputs, [f"k{i + 1}" for i in range(k)])
 
@@ -114,7 +113,6 @@ class LawBuilder:
             self.parameter(Parameter(f"{name}[{u.name},{y.name}]", _unit(u, y)), (k + i, k + j, 1.0))
 
     def law(self, dt: float = 0.0) -> Law:
-        """Return the finished law."""
         sizes = self.n_states, self.n_controls, self.n_measurements
         rows = np.array(self.entries, dtype=float).reshape(-1, 5)
         top, row, column, below = rows[:, [0, 1, 2, 4]].T.astype(int)
@@ -204,24 +202,12 @@ class MultichannelPID(Structure):
     ``layout="two-layer"``: the I-PD gives reference torques for one inner torque loop per axis, which gives the
     controls; measurements r, phi, phidot, torque: :math:`u = \sigma - k_d m,\ \dot\sigma = k_i \xi - k_p m,\ \dot\xi =
     m_{ref} - m`, as `robustlab.dynamics.control.platform.two_layer`; continuous time.
-
-    Attributes
-    ----------
-    layout
-        See above.
-    gains
-        Form of Kp, Ki, Kd: ``"full"``, ``"diagonal"``, ``"scalar"`` (the same for all channels), or a boolean mask
-        (n_con, n_meas of one group).
-    terms
-        Of ``layout="pid"``: the terms among P, I, D.
-    tau
-        Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D.
     """
 
     layout: str = "pid"
-    gains: Any = "full"
-    terms: str = "PID"
-    tau: Any = None
+    gains: Any = "full"  # form of Kp, Ki, Kd, also "diagonal", "scalar" (one for all channels), or a boolean mask
+    terms: str = "PID"  # of layout "pid": those among P, I, D
+    tau: Any = None  # of the derivative filters in s, required with D: a number, or (low, high) to optimise it
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         if choice(f"{WHERE}: layout", self.layout, ("pid", "ipd", "two-layer")) == "pid":
