@@ -83,7 +83,7 @@ _PUBLIC = {
     "control_weight": "synthesis.specifications.weight_design",
     "complementary_weight": "synthesis.specifications.weight_design",
     "makeweight": "synthesis.specifications.weight_design",
-    "Controller": "synthesis.problem.controller",
+    "Controller": "synthesis.problem.design",
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.parameter_varying",

@@ -12,8 +12,9 @@ from robustlab.display import Facts, bracket
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.hinf.hinf_synthesis import hinf as rational
-from robustlab.synthesis.problem.design import HinfSynthesis
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
+from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
+from robustlab.synthesis.problem.partition import as_generalized_plant, require_performance
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, scheduled_hinf
 from robustlab.uncertainty.distances import NOTHING, CoprimeFactors, NuGap, continuous_models, coprime_factors, nu_gap
@@ -69,11 +70,9 @@ def hinf(
     gamma_rel
         Largest ratio of gamma to the smallest gamma found (>= 1); within it the controller with the slowest poles is
         returned. 1 gives the smallest gamma, whose controller often is too fast.
-    time_limit, effort
+    time_limit, effort, progress
         s, after which the controller verified by then is returned with status TIMEOUT, which depends on the machine;
-        multiple of the usual work, counted, not timed.
-    progress
-        Called with one short line after every stage.
+        multiple of the usual work, counted, not timed; called with one short line after every stage.
 
     Returns
     -------
@@ -97,10 +96,12 @@ def hinf(
     """
     if isinstance(P, LPVModel):
         if gamma_rel != 1.05:
-            expected = "a plant without measured parameters, or none"
-            raise InputError("synth hinf: gamma_rel", "given with an LPVModel", expected)
+            raise InputError("synth hinf: gamma_rel", "given with an LPVModel", "a plant without parameters, or none")
         return scheduled_hinf(P, n_meas, n_con, effort, time_limit, progress)
-    return rational(P, n_meas, n_con, gamma_rel=gamma_rel, time_limit=time_limit, effort=effort, progress=progress)
+    plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
+    require_performance(plant, "synth hinf")
+    budget = design_budget("synth hinf", effort, time_limit)
+    return synthesize(plant, "hinf", gamma_rel, budget, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,6 @@ class GapMetric(Bracket):
 
     @property
     def value(self) -> float:
-        """The gap; equal to ``upper``."""
         return self.upper
 
     def facts(self) -> Facts:
@@ -124,7 +124,7 @@ class GapMetric(Bracket):
 
 @error_context("gap")
 def gap(P1: Any, P2: Any) -> GapMetric:
-    r"""Gap metric between two models of equal size.
+    r"""Gap metric between two models of equal size, with bounds of the gap and the nu-gap.
 
     With normalised right coprime factors :math:`G_i = [N_i; M_i]` the directed gap is a model-matching problem,
 
@@ -142,7 +142,6 @@ def gap(P1: Any, P2: Any) -> GapMetric:
     Returns
     -------
     GapMetric
-        Bounds of the gap, and the nu-gap.
 
     Raises
     ------

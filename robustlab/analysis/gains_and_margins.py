@@ -72,7 +72,6 @@ HINTS = {
 
 
 def kind_of(*systems: Any, natures: Any = None, frequency: Any = None) -> str:
-    """Return the kind of a problem about these systems."""
     if natures is not None:
         return NATURES
     if frequency is not None or any(isinstance(one, UncertainFrequencyData) for one in systems):
@@ -153,9 +152,8 @@ def peak_gain(
     controller, sign, amplitude, stick_speed
         Of a plant with effects: K; -1 for negative feedback, 1 for positive, by default as stated by K, else negative;
         place -> assumed bound of its signal; joint -> speed below which dry friction is proportional to the speed.
-    norm, band
+    norm, band, frequency
         Of a model: ``"linf"``, the peak over the axis of what may be unstable; (low, high) in rad/s: the peak there.
-    frequency
         Frequencies in rad/s of the largest gain, without any claim between them; a stable nominal system is assumed.
     natures, order, pole
         Name of a block -> `Varying` or `Nonlinearity`, or (output, input) -> `Nonlinearity`, a law that drives that
@@ -163,11 +161,10 @@ def peak_gain(
         rad/s.
     inputs, outputs
         Names of the channels, all by default; ``outputs`` of a plant with effects: the inputs of K, in its order.
-    omega, tolerance
+    omega, tolerance, lyapunov
         Of an uncertain model: frequencies in rad/s of a figure's curves. Relative gap of the bounds: 1e-6 of a model,
-        0.01 with delays or uncertainty; inf: no branch and bound.
-    lyapunov
-        Of an LPV model: ``"constant"`` (any rate) or ``"varying"``, the default where a rate is bounded.
+        0.01 with delays or uncertainty; inf: no branch and bound. Of an LPV model: ``"constant"`` (any rate) or
+        ``"varying"``, the default where a rate is bounded.
     seed, effort, time_limit
         Seed of the searches; their work as a multiple of the usual; s, after which the result depends on the machine.
 
@@ -202,7 +199,6 @@ def peak_gain(
 
 
 def _selected(system: Any, inputs: Sequence[str] | None, outputs: Sequence[str] | None) -> Any:
-    """Return the system with these channels."""
     if isinstance(system, UncertainFrequencyData):
         ins, outs = ([s.name for s in side] for side in (system.inputs, system.outputs))
         return system[outs if outputs is None else list(outputs), ins if inputs is None else list(inputs)]
@@ -214,7 +210,6 @@ def _selected(system: Any, inputs: Sequence[str] | None, outputs: Sequence[str] 
 def gain_of_model(
     model: StateSpaceModel, norm: str | None = None, band: Any = None, tolerance: float = 1e-6
 ) -> PeakGain:
-    """Compute `peak_gain` of a model."""
     if norm not in (None, "hinf", "linf"):
         raise InputError("peak_gain: norm", f"{norm!r}", "'hinf' or 'linf'")
     if norm == "hinf" and band is not None:
@@ -255,11 +250,10 @@ def robust_stability(
         As in `peak_gain`: blocks that vary or are nonlinear. Empty: the same proof of constant blocks.
     frequency
         Frequencies in rad/s of the margins, without any claim between them; a stable nominal system is assumed.
-    omega
-        Of an uncertain model: frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure.
-    tolerance, accuracy
-        Of an uncertain model: relative gap that branch and bound aims at (0.01; inf: none), and relative distance to
-        the best margin that D, G can prove (3e-5).
+    omega, tolerance, accuracy
+        Of an uncertain model: frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; relative
+        gap that branch and bound aims at (0.01; inf: none); relative distance to the best margin that D, G can prove
+        (3e-5).
     seed, effort, time_limit
         As in `peak_gain`.
 
@@ -372,10 +366,8 @@ def classical_margins(
 
     Parameters
     ----------
-    plant, K, sign
-        As in `disk_margin`; no data.
-    at
-        Where the loops are opened: at the plant's outputs, its inputs, or both in turn.
+    plant, K, sign, at
+        As in `disk_margin`; no data. Loops are opened at the plant's outputs, its inputs, or both in turn.
 
     Returns
     -------

@@ -75,10 +75,9 @@ def robust_gain(
     ----------
     uncertain
         Uncertain model; an asymmetric range grows in proportion on both sides.
-    level
-        :math:`\gamma`, positive, in the unit of the outputs over that of the inputs.
-    tolerance
-        Target of the relative gap between the bounds.
+    level, tolerance
+        :math:`\gamma`, positive, in the unit of the outputs over that of the inputs; target of the bounds' relative
+        gap.
     seed, effort
         As in `peak_gain`, of each worst-case gain.
 
@@ -181,7 +180,6 @@ class PerformanceComparison(Displayable):
 
     @property
     def margins(self) -> dict[str, Margin]:
-        """Controller -> margin."""
         return {name: one.margin for name, one in self.controllers.items()}
 
     @property
@@ -191,14 +189,12 @@ class PerformanceComparison(Displayable):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Meaning of the numbers, and the remarks of the proofs."""
         first = (
             "μ at most 1: for every Δ of the set the weighted gain is at most 1. The worst-case gain is over that set."
         )
         return (first, *(f"{of}: {text}." for of, part in self._proofs().items() for text in part.notes))
 
     def _proofs(self) -> dict[str, Any]:
-        """Every margin and gain, labelled with its controller."""
         found: dict[str, Any] = {}
         for name, one in self.controllers.items():
             found |= {f"{name}, μ": one.margin} | ({} if one.gain is None else {f"{name}, gain": one.gain})

@@ -10,11 +10,10 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "structures.laws": "PID Decentralised FixedOrder FixedPoles MultichannelPID Part StaticGain",
-        "structures.search": "Bandwidth Damping Decay RollOff StableController descend",
+        "structures.search": "Bandwidth Damping Decay RollOff StableController",
         "goal_tuning": "GainGoal MarginGoal SensitivityGoal TrackingGoal VarianceGoal",
         "problem.partition": "GeneralizedPlant PlantMatrices",
-        "problem.controller": "Controller",
-        "problem.design": "Design Synthesis HinfSynthesis",
+        "problem.design": "Controller Design Synthesis HinfSynthesis",
         "scheduling.parameter_varying": "LPVController",
         "scheduling.scheduled_synthesis": "closed_loop",
         "problem.certify": "MeasureName",

@@ -20,17 +20,16 @@ from typing import Any, ClassVar, Literal, cast, get_args, overload
 
 import numpy as np
 
-from robustlab.budget import MILLION, dense, one_thread
+from robustlab.budget import dense, one_thread
 from robustlab.checks import choice, number
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
-from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels, relative_loss
 from robustlab.synthesis.problem.partition import as_generalized_plant
 from robustlab.synthesis.sampled_norm import SampledDataNorm, check_sampling, lift, sampled_loop_norm, with_antialiasing
 
@@ -42,7 +41,6 @@ METHODS = get_args(Method)
 MERGED = 1e-6  # sampled modes closer than this, relative to their modulus, count as one
 CLOSE = 1e-10  # accuracy to which the exponential of a logarithm must reproduce the matrix
 EPS = float(np.finfo(float).eps)
-CONTROLLER_WORK = 60 * MILLION  # the usual work at effort 1
 DESIGN_INTERVALS = 4  # of a period, for disturbance and performance in the direct design
 DESIGN_GAMMA_REL = 1.02  # allowed ratio of its gamma to the smallest: larger: slower poles
 MOST_DESIGN = 48  # lifted channels of the direct design at most
@@ -108,11 +106,9 @@ def d2c(model: Any, method: Hold = "zoh") -> StateSpaceModel:
 
     Raises
     ------
-    InputError
-        A continuous model, an unknown method.
-    NoTrustworthyNumber
-        ``"zoh"``: a pole on the closed negative real axis, or a logarithm that does not reproduce the model to 1e-10.
-        ``"tustin"``: a pole at z = -1.
+    InputError, NoTrustworthyNumber
+        A continuous model, an unknown method. ``"zoh"``: a pole on the closed negative real axis, or a logarithm that
+        does not reproduce the model to 1e-10. ``"tustin"``: a pole at z = -1.
     """
     m = as_model(getattr(model, "K", model), "d2c")
     if not m.is_discrete:
@@ -174,7 +170,6 @@ class SampledTrial(AllFields):
 
     @property
     def text(self) -> str:
-        """The loss in words."""
         if np.isfinite(self.upper):
             return f"loss {100 * self.loss:+.3g} %"
         return "not stable" if self.order >= 0 else "none"
@@ -185,10 +180,10 @@ class SampledController(Synthesis):
     """A digital controller; ``gamma`` is the proved H-infinity norm of the sampled-data loop, between samples too."""
 
     quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
+        "dt": "s", "delay": "s", "antialiasing": "rad/s", "loss": float, "allowed_loss": float,
     }  # fmt: skip
     saved = (
-        *Synthesis.saved, "dt", "chosen", "loss", "allowed_loss", "delay", "antialiasing", "continuous_norm", "norm",
+        "dt", "chosen", "loss", "allowed_loss", "delay", "antialiasing", "continuous_norm", "norm",
         "trials", "pathological", "original",
     )  # fmt: skip
 
@@ -212,11 +207,10 @@ class SampledController(Synthesis):
     @property
     def loss(self) -> float:
         """``gamma / norm of the continuous loop - 1``; negative where the sampled loop has the smaller norm."""
-        return _loss(self.gamma, self.continuous_norm)
+        return relative_loss(self.gamma, self.continuous_norm.upper)
 
     @property
     def met(self) -> bool:
-        """Whether the loss is within the allowed one."""
         return self.loss <= self.allowed_loss
 
     def _gamma_text(self) -> str:
@@ -296,11 +290,8 @@ def discretise(
     loss, delay, antialiasing
         Largest loss allowed, as a share; computational delay in s, between sample and change of the control; corner
         frequency in rad/s of a filter before the sampler (see `sampled_data_norm`).
-    time_limit, effort
-        s, checked between methods and by the direct design, after which the status is TIMEOUT; multiple of the usual
-        work.
-    progress
-        Called with one line for each method.
+    time_limit, effort, progress
+        As for `robustlab.hinf`.
 
     Returns
     -------
@@ -310,12 +301,11 @@ def discretise(
 
     Raises
     ------
-    InputError
-        A discrete model (its dt is named), a sample time that is not positive, an unknown method, a prewarp frequency
-        beyond the Nyquist frequency; a delay in a loop or between dynamic parts; options of a loop without a plant.
-    NoTrustworthyNumber
-        A pole that the bilinear map sends to infinity; a continuous loop that is not stable; no method that leaves the
-        sampled loop stable (pathological sampling is named).
+    InputError, NoTrustworthyNumber
+        A discrete model, a sample time that is not positive, an unknown method, a prewarp frequency beyond the Nyquist
+        frequency; a delay in a loop or between dynamic parts; options of a loop without a plant. A pole that the
+        bilinear map sends to infinity; a continuous loop that is not stable; no method that leaves the sampled loop
+        stable.
 
     Examples
     --------
@@ -333,14 +323,13 @@ def discretise(
     full = as_model(getattr(model, "K", model), WHERE)
     given = found.plant if isinstance(found, Synthesis) else found
     p = as_generalized_plant(given, full.n_inputs, full.n_outputs, f"{WHERE}: plant")
-    check_sampling(p, full, dt, delay, WHERE)
+    full = check_sampling(p, full, dt, delay, WHERE)
     if full.is_discrete:
         raise InputError(WHERE, f"the controller has dt = {full.dt:g} s already", "a continuous controller")
-    full = wired(full, p.measurements, p.controls, WHERE)
     p = with_default_performance(p, WHERE)
     choice(f"{WHERE}: method", method or "auto", ("auto", "direct", *METHODS))
     number(f"{WHERE}: loss", loss, at_least=0)
-    budget = design_budget(WHERE, CONTROLLER_WORK, effort, time_limit)
+    budget = design_budget(WHERE, effort, time_limit)
     with one_thread():
         continuous = hinf_norm(p.close(full))
         if not np.isfinite(continuous.upper):
@@ -352,7 +341,7 @@ def discretise(
         names = ["tustin", *warped, "zoh", "foh", "direct"] if method in (None, "auto") else [str(method)]
         trials, best = list[SampledTrial](), None
         for name in names:
-            enough = best is not None and _loss(best[2].upper, continuous) <= loss
+            enough = best is not None and relative_loss(best[2].upper, continuous.upper) <= loss
             if budget.over or (name == "direct" and enough):
                 break
             try:
@@ -374,7 +363,8 @@ def discretise(
             except (InputError, NoTrustworthyNumber) as error:  # InputError: a loop that is not well posed
                 order, lower, upper, status = -1, np.inf, np.inf, Status.FAILED
                 reason = "; ".join([error.line, *(merged if name == "direct" else ())])
-            trials.append(SampledTrial(name, order, lower, upper, _loss(upper, continuous), status, reason))
+            lost = relative_loss(upper, continuous.upper)
+            trials.append(SampledTrial(name, order, lower, upper, lost, status, reason))
             if progress is not None:
                 progress(f"{name}: {reason if order < 0 else f'sampled-data norm {upper:.6g}, {trials[-1].text}'}")
     if best is None:
@@ -387,7 +377,7 @@ def discretise(
     name, made, norm = best
     how = norm.reason or f"norm proved on {norm.n_intervals} intervals a period"
     reason = f"{name}: sampled loop rebuilt, {how}"
-    if _loss(norm.upper, continuous) > loss:
+    if relative_loss(norm.upper, continuous.upper) > loss:
         reason += f"; no method tried keeps the loss to {100 * loss:g} %"
     status, reason = final_status(norm.status, [reason], budget, "one that loses less")
     return SampledController(
@@ -396,7 +386,3 @@ def discretise(
         continuous_norm=continuous, norm=norm, allowed_loss=loss, trials=tuple(trials), delay=delay,
         antialiasing=antialiasing, pathological=merged, chosen=name,
     )  # fmt: skip
-
-
-def _loss(value: float, reference: HinfNorm) -> float:
-    return value / reference.upper - 1 if reference.upper > 0 else float(np.inf if value else 0.0)

@@ -35,13 +35,12 @@ from robustlab.synthesis.problem.partition import (
 )
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
-from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, law_around, multi_start
+from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, multi_start
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
 WHERE = "synth fixed"
-WORK = 60 * MILLION  # of a design at effort 1
 VERIFIED = 4  # best candidates that are verified: the norm of the search is not a proof. More: slower, seldom better
 SAME = 1 + 1e-4  # ratio of the verified norm to that of the search up to which no other candidate is verified
 ROUNDS = 12  # most scenarios
@@ -51,6 +50,7 @@ KEPT = 1e-9  # largest value at which a limit counts as kept: the search stays s
 FULL_SHARE, FULL_WORK = 0.2, 10 * MILLION  # share of the remaining work for the full-order design, and most for it
 FULL_HINF_REL, FULL_H2_REL = 1.05, 1.0005  # its norm over the optimum: a lower bandwidth is easier to reduce
 MOST_STARTS = 10000  # largest number of random starts
+MODES_WELL_APART = 1e6  # condition number of the modes of A_K up to which they are taken as coordinates
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ParametricDesign(Tabular, Synthesis):
     """Base of designs of a given structure, with the values of their parameters and limits."""
 
     parameters: tuple[ParameterValue, ...]
-    limits: tuple[LimitValue, ...]
+    limits: tuple[LimitValue, ...]  # with the largest value over all plants
 
     @property
     def values(self) -> dict[str, float]:
@@ -119,25 +119,22 @@ class FixedSynthesis(ParametricDesign):
     For an uncertain plant, ``gamma`` is the proved upper bound of the worst-case gain where that proof succeeded.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {**Synthesis.quantities, "peak_frequency": float}
+    quantities: ClassVar[Mapping[str, Any]] = {"peak_frequency": float}
     saved = (
-        *Synthesis.saved, "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts",
-        "scenarios", "worst_case_gain",
+        "objective", "parameters", "gammas", "peak_frequency", "limits", "active", "starts", "scenarios",
+        "worst_case_gain",
     )  # fmt: skip
 
-    objective: str  #: ``"hinf"`` or ``"h2"``
-    #: Verified norm (H-infinity: upper bound) of every model's loop; for an uncertain plant, of every scenario
-    gammas: tuple[float, ...]
-    peak_frequency: float  #: Frequency in rad/s at which the worst loop attains its norm; NaN for H2
-    starts: tuple[Start, ...]  #: The result of every start, best first
-    scenarios: tuple[Mapping[str, Any], ...] = ()  #: For an uncertain plant: the Delta of every scenario
-    worst: WorstCaseGain | None = None  #: For an uncertain plant: the worst-case gain over the whole set
-    #: The plant of every loop, or the uncertain plant of ``worst``, for `robustlab.verify`
-    plants: tuple[GeneralizedPlant, ...] = ()
+    objective: str  # "hinf" or "h2"
+    gammas: tuple[float, ...]  # verified norm (H-infinity: upper bound) of the loop of every model or scenario
+    peak_frequency: float  # in rad/s, at which the worst loop attains its norm; NaN for H2
+    starts: tuple[Start, ...]  # best first
+    scenarios: tuple[Mapping[str, Any], ...] = ()  # the Delta of each, for an uncertain plant
+    worst: WorstCaseGain | None = None  # over the whole set, for an uncertain plant
+    plants: tuple[GeneralizedPlant, ...] = ()  # of every loop, or the uncertain plant of `worst`, for `rl.verify`
 
     @property
     def worst_case_gain(self) -> WorstCaseGain | None:
-        """``worst``."""
         return self.worst
 
     @property
@@ -163,7 +160,6 @@ class FixedSynthesis(ParametricDesign):
         return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
-        """Return a row for each parameter of the controller."""
         columns = {key: [getattr(p, key) for p in self.parameters] for key in ("value", "low", "high", "unit")}
         return Table(("parameter", [p.name for p in self.parameters]), columns)
 
@@ -191,7 +187,7 @@ def fixed_structure(
 
     BFGS brings every start to where all loops are stable and limits are kept, then down the norm; linear programs over
     all active peaks refine the best. The problem is not convex: the result is a local optimum, verified on the loops
-    rebuilt from K.
+    rebuilt from K. Lewis, Overton 2013 (BFGS); Apkarian, Noll 2006 (active peaks).
 
     Parameters
     ----------
@@ -202,20 +198,15 @@ def fixed_structure(
     structure
         A structure of `robustlab.synthesis.structures.laws`, an order, a mask of a static gain, a list of structures
         (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
-    n_meas, n_con
-        Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
-    objective, limits
-        ``"hinf"`` or ``"h2"``; limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`.
-    bounds, start
-        ``(low, high)`` by parameter name; further start: parameters by name, a list of those, or an earlier result.
-    starts, seed
-        Number and seed of random starts, in addition to the given ones, the structure's own and, for a `FixedOrder`,
-        the full-order design reduced to the order.
-    time_limit, effort
-        Time limit in s, checked between steps (default: none), after which the best verified design is returned with
-        status TIMEOUT; multiple of the usual work, counted, so that the result is the same on any machine.
-    progress
-        Called with a short line after every start.
+    objective, limits, bounds
+        ``"hinf"`` or ``"h2"``; limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`;
+        ``(low, high)`` by parameter name.
+    start, starts, seed
+        Further start: parameters by name, a list of such mappings, or an earlier result. Number of random starts, in
+        addition to the given ones, the structure's own and, for a `FixedOrder`, the full-order design reduced to the
+        order; and their seed.
+    n_meas, n_con, time_limit, effort, progress
+        As for `robustlab.hinf`.
 
     Returns
     -------
@@ -224,15 +215,10 @@ def fixed_structure(
 
     Raises
     ------
-    InputError
-        Plants that do not fit together, an unknown structure or parameter, an H2 norm that is infinite by structure.
-    NoTrustworthyNumber
-        A mode that no controller can stabilise, or no start that stabilised all plants (with the plant and its pole);
-        the latter does not prove that no controller does.
-
-    References
-    ----------
-    Lewis, Overton 2013 (BFGS); Apkarian, Noll 2006 (active peaks).
+    InputError, NoTrustworthyNumber
+        Plants that do not fit together, an unknown structure or parameter, an H2 norm that is infinite by structure. A
+        mode that no controller can stabilise, or no start that stabilised all plants, which does not prove that no
+        controller does.
 
     Examples
     --------
@@ -247,7 +233,7 @@ def fixed_structure(
     for limit in limits:
         if not isinstance(limit, Limit):
             raise InputError(f"{WHERE}: limits", f"{limit!r}", "Decay, Damping, Bandwidth, StableController, RollOff")
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, effort, time_limit)
     plants = _plants(P, n_meas, n_con)
     say = progress or (lambda _: None)
     with one_thread():
@@ -307,8 +293,9 @@ def _plants(P: Any, n_meas: int | None, n_con: int | None) -> list[GeneralizedPl
 
 
 def parameter_values(law: Law, p: AnyArray) -> tuple[ParameterValue, ...]:
-    pairs = zip(law.parameters, p.tolist(), strict=True)
-    return tuple(ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in pairs)
+    return tuple(
+        ParameterValue(q.name, x, q.unit, q.low, q.high) for q, x in zip(law.parameters, p.tolist(), strict=True)
+    )
 
 
 def _place(name: str, law: Law) -> int:
@@ -353,11 +340,35 @@ def _reduced_start(problem: DesignProblem) -> list[tuple[str, AnyArray]]:
     for method in ("coprime", "truncation") if K.n_states >= order else ():
         # A controller can be too fast for the one, or have too many unstable modes for the other.
         with suppress(InputError, NoTrustworthyNumber):
-            around, q = law_around(reduce_model(K, order, method=method).model if K.n_states > order else K)
+            small = reduce_model(K, order, method=method).model if K.n_states > order else K
+            A, B, C = _modal(small)
             p = np.zeros(len(law.parameters))
-            p[law.top] = around.packed(q)[law.row, law.column]
+            p[law.top] = np.block([[A, B], [C, small.D]])[law.row, law.column]
             return [("reduced", np.clip(p, [q.low for q in law.parameters], [q.high for q in law.parameters]))]
     return []
+
+
+def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Return A, B, C with A in real modal form, or as given where the modes are not well separated."""
+    if not K.n_states:
+        return K.A, K.B, K.C
+    values, vectors = np.linalg.eig(K.A)
+    columns: list[AnyArray] = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag > 0:
+            columns += [vector.real, vector.imag]
+        elif value.imag == 0:
+            columns.append(vector.real)
+    T = np.column_stack(columns)
+    if np.linalg.cond(T) > MODES_WELL_APART:
+        return K.A, K.B, K.C
+    inverse = np.linalg.inv(T)
+    A, B, C = inverse @ K.A @ T, inverse @ K.B, K.C @ T
+    near = np.abs(np.subtract.outer(np.arange(len(A)), np.arange(len(A)))) <= 1
+    A = np.where(near, A, 0.0)  # entries elsewhere are rounding
+    size = np.sqrt(np.maximum(np.linalg.norm(B, axis=1), 1e-300) / np.maximum(np.linalg.norm(C, axis=0), 1e-300))
+    size = np.where((size > 1e-8) & (size < 1e8), size, 1.0)
+    return A * size[None, :] / size[:, None], B / size[:, None], C * size
 
 
 # --- search -----------------------------------------------------------------------------------------------------------
@@ -507,6 +518,6 @@ def not_found(problem: DesignProblem, found: Sequence[Start]) -> NoTrustworthyNu
         pole_text = f"{pole.real:.6g}" + (f"{pole.imag:+.6g}j" if pole.imag else "")
         plant = "the plant" if len(edges) == 1 else f"plant {which + 1}"
         text = f"no start stabilised {plant}: nearest pole {'z' if discrete else 's'} = {pole_text}"
-    starts = f"{len(found)} starts{f'; {NOT_REPEATABLE}' if problem.budget.struck else ''}"
+    ended = f"; {NOT_REPEATABLE}" if problem.budget.struck else ""
     hint = "not found is no proof that there is none: try more starts, another seed, or a richer structure"
-    return NoTrustworthyNumber(WHERE, f"{text} ({starts})", hint=hint)
+    return NoTrustworthyNumber(WHERE, f"{text} ({len(found)} starts{ended})", hint=hint)

@@ -22,11 +22,10 @@ from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis import fixed_structure as fixed
-from robustlab.synthesis.hinf.loop_shaping import weight_on_channels
-from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
+from robustlab.synthesis.problem.design import design_budget, final_status
 from robustlab.synthesis.problem.limits import gamma_bound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
-from robustlab.synthesis.specifications.weight_design import performance_weight
+from robustlab.synthesis.specifications.weight_design import performance_weight, weight_on_channels
 from robustlab.synthesis.structures.laws import Law
 from robustlab.synthesis.structures.search import DesignProblem, Limit, multi_start, refined
 from robustlab.tables import Table
@@ -206,13 +205,12 @@ class TunedSynthesis(fixed.ParametricDesign):
     hard goal is met; INFEASIBLE if a hard goal is proved to be infeasible for any controller; else INCONCLUSIVE.
     """
 
-    saved = (*Synthesis.saved, "goals", "limits", "parameters")
+    saved = ("goals", "limits", "parameters")
 
-    goals: tuple[GoalValue, ...]  #: The goals with their verified values
+    goals: tuple[GoalValue, ...]  # with their verified values
 
     @property
     def missed(self) -> tuple[GoalValue, ...]:
-        """Hard goals that are not met."""
         return tuple(goal for goal in self.goals if goal.hard and not goal.met)
 
     def _gamma_text(self) -> str:
@@ -227,7 +225,6 @@ class TunedSynthesis(fixed.ParametricDesign):
         return [*rows, *self.parameter_facts()]
 
     def table(self) -> Table:
-        """Return a row for each goal."""
         columns = {key: [getattr(goal, key) for goal in self.goals] for key in ("hard", "value", "met")}
         return Table(("goal", [goal.text for goal in self.goals]), columns)
 
@@ -252,7 +249,9 @@ def tune(
         u = K(p) (r - y)
 
     A goal is a norm of a weighted closed loop and is met where it is at most 1: tracking, sensitivity, gains,
-    variances, disk margins. Limits of poles and of the controller always hold.
+    variances, disk margins. Limits of poles and of the controller always hold. Apkarian, Noll, "Nonsmooth H-infinity
+    synthesis" (2006); Apkarian, Gahinet, Buhr, "Multi-model, multi-objective tuning of fixed-structure controllers",
+    ECC 2014.
 
     Parameters
     ----------
@@ -274,15 +273,9 @@ def tune(
 
     Raises
     ------
-    InputError
-        No goal, plants that do not fit together, an unknown signal, a variance that is infinite by structure.
-    NoTrustworthyNumber
-        No start stabilised all plants and kept the limits; this does not prove that no controller does.
-
-    References
-    ----------
-    Apkarian, Noll, "Nonsmooth H-infinity synthesis" (2006); Apkarian, Gahinet, Buhr, "Multi-model, multi-objective
-    tuning of fixed-structure controllers", European Control Conference (2014).
+    InputError, NoTrustworthyNumber
+        No goal, plants that do not fit together, an unknown signal, a variance that is infinite by structure. No start
+        stabilised all plants and kept the limits, which does not prove that no controller does.
 
     Examples
     --------
@@ -298,7 +291,7 @@ def tune(
     if not wanted:
         raise InputError("synth tune: goals", "none", "at least one goal in addition to limits")
     whole("synth tune: starts", starts, 0, fixed.MOST_STARTS)
-    budget = design_budget("synth tune", fixed.WORK, effort, time_limit)
+    budget = design_budget("synth tune", effort, time_limit)
     loops = [_loop(g) for g in _plants(G)]
     hard = np.array([goal.hard for goal in wanted])
     with one_thread():

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.checks import number
 from robustlab.display import Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.matrices import care, dare, refuse_extremes, refuse_overflow
@@ -38,7 +39,6 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 
-WORK = 60 * MILLION  # work of a design at effort 1
 # Sizes of added penalties and noises, scaled. Longer: singular plants get closer to their infimum, K faster.
 LADDER = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
 # Singular values of D12 or D21, scaled, above which that side is not regularised. Smaller: digits are lost.
@@ -54,17 +54,12 @@ RESIDUAL = 1e-3
 class H2Synthesis(Synthesis):
     """An H2 design; ``gamma`` is the H2 norm of ``closed_loop``, the larger of the values from both Gramians."""
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("regularisation", "smallest_norm"), float),
-    }  # fmt: skip
-    saved = (*Synthesis.saved, "norm", "regularisation", "smallest_norm")
+    quantities = dict.fromkeys(("regularisation", "smallest_norm"), float)
+    saved = ("norm", "regularisation", "smallest_norm")
 
-    norm: H2Norm  #: The H2 norm of the rebuilt loop with its status
-    #: Size of the added penalties and noises in the scaled plant; 0 where the plant was solved as it is, and K is then
-    #: optimal
-    regularisation: float
-    #: Smallest verified H2 norm of the search; K may belong to a larger regularisation within the allowed ratio of it
-    smallest_norm: float
+    norm: H2Norm  # of the rebuilt loop
+    regularisation: float  # size of the added penalties and noises in the scaled plant; 0: none, and K is optimal
+    smallest_norm: float  # verified, of the search; K may belong to a larger regularisation within the allowed ratio
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (H2 norm, verified by both Gramians)"
@@ -92,44 +87,33 @@ def h2(
     .. math:: \min_K \|F_l(P, K)\|_2
 
     The H2 norm is the root-mean-square of z for white noise w of unit intensity. K has the order of P; it is unique
-    where D12 has full column rank, D21 full row rank, and there are no zeros on the stability boundary. Elsewhere the
-    infimum may not be attained: then small penalties on u and x and small noises on y and x are added, ever smaller
-    until the verified norm stops falling; ``regularisation`` is their size. A discrete P is solved by
-    discrete-time Riccati equations; its K may have a direct term (the measurement of this sample acts at once).
+    where D12 has full column rank, D21 full row rank, and there are no zeros on the stability boundary. Elsewhere small
+    penalties on u and x and small noises on y and x are added, ever smaller until the verified norm stops falling. The
+    K of a discrete P may have a direct term. Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996,
+    chapter 14; Chen, Francis, *Optimal Sampled-Data Control Systems* (1995), section 6.5.
 
     Parameters
     ----------
     P
-        Generalised plant as for `robustlab.hinf`. Continuous: the direct term from w to z must vanish in closed loop;
-        where ``D11 + D12 D_K D21 = 0`` has a solution D_K, K contains it, and else there is no finite H2 norm.
-    n_meas, n_con
-        Numbers of measurements and controls; left out for a `GeneralizedPlant`.
+        As for `robustlab.hinf`. Continuous: the direct term from w to z must vanish in closed loop; where
+        ``D11 + D12 D_K D21 = 0`` has a solution D_K, K contains it, and else there is no finite H2 norm.
     gamma_rel
-        How much larger than the smallest norm found the returned controller's may be (>= 1) where penalties or noises
-        had to be added; within it the largest ones are taken, because K grows faster without end as they go to zero.
-    time_limit, effort
-        Time in s, checked between trials (default: none; where it ends the search the status is TIMEOUT); multiple of
-        the usual work.
-    progress
-        Called with one line per trial.
+        Largest ratio of the norm to the smallest norm found (>= 1) where penalties or noises had to be added; within it
+        the largest ones are taken, because K grows faster without end as they go to zero.
+    n_meas, n_con, time_limit, effort, progress
+        As for `robustlab.hinf`.
 
     Returns
     -------
     H2Synthesis
-        Always with a stabilising K whose H2 norm was verified on the loop rebuilt from it.
+        Always with a stabilising K whose H2 norm was verified on the loop rebuilt from it; ``regularisation`` is the
+        size of the penalties and noises.
 
     Raises
     ------
-    InputError
-        Numbers of channels that P does not have, ``gamma_rel`` below 1.
-    NoTrustworthyNumber
-        A mode that no controller can stabilise, a direct term that no controller can cancel, or no controller could be
-        verified.
-
-    References
-    ----------
-    Doyle, Glover, Khargonekar, Francis 1989; Zhou, Doyle, Glover 1996, chapter 14; Chen, Francis, *Optimal
-    Sampled-Data Control Systems* (1995), section 6.5 (discrete time).
+    InputError, NoTrustworthyNumber
+        Channels that P does not have, ``gamma_rel`` below 1. A mode that no controller can stabilise, a direct term
+        that no controller can cancel, or no controller could be verified.
 
     Examples
     --------
@@ -140,7 +124,7 @@ def h2(
     """
     plant = as_generalized_plant(P, n_meas, n_con, "synth h2")
     require_performance(plant, "synth h2")
-    return synthesize_h2(plant, gamma_rel, design_budget("synth h2", WORK, effort, time_limit), progress)
+    return synthesize_h2(plant, gamma_rel, design_budget("synth h2", effort, time_limit), progress)
 
 
 class _Trial(NamedTuple):
@@ -159,8 +143,7 @@ def synthesize_h2(
 ) -> H2Synthesis:
     """Search a controller for `h2`."""
     where, dt, matrices = "synth h2", plant.model.dt, plant.matrices()
-    if not 1 <= gamma_rel <= 1e6:
-        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
+    number(f"{where}: gamma_rel", gamma_rel, at_least=1, at_most=1e6)
     refuse_extremes(plant.model, where)
     # The search is for K less the direct term that cancels D11.
     gain = _cancelling_gain(matrices, dt, where)
@@ -207,14 +190,9 @@ def synthesize_h2(
 
 
 def _ladder(
-    plant: GeneralizedPlant,
-    shifted: PlantMatrices,
-    gain: AnyArray,
-    scaling: Scaling,
-    trials: list[_Trial],
-    budget: Budget,
-    report: Callable[[str], None],
-) -> bool:
+    plant: GeneralizedPlant, shifted: PlantMatrices, gain: AnyArray, scaling: Scaling, trials: list[_Trial],
+    budget: Budget, report: Callable[[str], None],
+) -> bool:  # fmt: skip
     """Try no regularisation (if the plant allows it), then ever smaller ones.
 
     Return whether the regular problem was solved, or smaller regularisations gained less than SETTLED.

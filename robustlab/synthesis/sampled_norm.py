@@ -19,7 +19,6 @@ from robustlab.checks import number
 from robustlab.display import Facts, listed
 from robustlab.display import number as in_words
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.feedback import wired
 from robustlab.norms import HinfNorm, PeakGain, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
@@ -55,11 +54,9 @@ class SampledDataNorm(PeakGain):
 
     @property
     def value(self) -> float:
-        """``upper``."""
         return self.upper
 
     def evidence(self) -> Facts:
-        """Return the sampling, and the assumptions between the samples."""
         return [
             ("sample time", in_words(self.loop.dt, "s")),
             ("intervals of a period", str(self.n_intervals)),
@@ -79,22 +76,20 @@ def sampled_data_norm(
     n_con: int | None = None,
     rtol: float = 1e-2,
 ) -> SampledDataNorm:
-    r"""Bound the H-infinity norm from w to z of a continuous plant with a digital controller, also between samples.
+    """Bound the H-infinity norm from w to z of a continuous plant with a digital controller, also between samples.
 
     The measurements are sampled at ``k dt``, the controls change at ``k dt + delay`` and are held (zero order).
 
     Parameters
     ----------
-    plant
-        Continuous generalised plant (see `hinf`).
+    plant, n_meas, n_con
+        Continuous generalised plant, and for a plain one its numbers of measurements and controls (see `hinf`).
     K
         Discrete controller, ``u = K y``; its dt is the sample time.
     delay, antialiasing
         Computational delay in s, of any length; corner frequency in rad/s of a first-order low-pass filter before the
         sampler, on every measurement that w or u reach directly. With it w is any disturbance of finite energy; where
         left out, those that reach the sampler directly change at the samples only (``held`` names them).
-    n_meas, n_con
-        Numbers of measurements and controls, where a plain plant is given.
     rtol
         Relative width of the bracket that ends the refinement.
 
@@ -119,23 +114,21 @@ def sampled_data_norm(
     k = as_model(getattr(K, "K", K), f"{where}: K")
     p = as_generalized_plant(plant, n_meas or k.n_inputs, n_con or k.n_outputs, where)
     require_performance(p, where)
-    check_sampling(p, k, k.dt, delay, where)
+    k = check_sampling(p, k, k.dt, delay, where)
     if not 0 < rtol < 1:
         raise InputError(where, f"rtol is {rtol}", "between 0 and 1")
-    k = wired(k, p.measurements, p.controls, where)
     with one_thread():
         return sampled_loop_norm(with_antialiasing(p, antialiasing, where), k, delay, rtol)
 
 
-def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, where: str) -> None:
-    """Require a continuous plant, a positive sample time, no negative delay, and a controller that fits."""
+def check_sampling(plant: GeneralizedPlant, K: StateSpaceModel, dt: float, delay: float, where: str) -> StateSpaceModel:
+    """Require a continuous plant, a positive sample time, no negative delay; return the controller that fits."""
     if plant.model.dt:
         raise InputError(where, f"the plant has dt = {plant.model.dt:g} s", "a continuous plant (dt = 0)")
     number(f"{where}: sample time", dt, "a positive time in s", "discretise the controller first", above=0)
     if not 0 <= delay <= LONGEST_DELAY * dt:
         raise InputError(where, f"delay is {delay}", f"a time in s, not negative, of at most {LONGEST_DELAY} samples")
-    if (K.n_outputs, K.n_inputs) != (plant.n_con, plant.n_meas):
-        raise InputError(where, f"K is {K.n_outputs} x {K.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
+    return plant.fitted(K, where)
 
 
 def with_antialiasing(plant: GeneralizedPlant, corner: float | None, where: str) -> GeneralizedPlant:

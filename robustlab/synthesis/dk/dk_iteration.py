@@ -1,21 +1,20 @@
-r"""Robust-performance designs: controllers for given scalings with their proofs, and the result with what limits it.
+r"""Robust-performance synthesis: K and D together by direct minimisation over the scalings, and G for real blocks.
 
 For every full block i and constant values of the real blocks of size at most 1 / beta_0, the peak of mu is at least
 :math:`\min(\beta_0, \| T_{ii} \|_\infty)` of that member; Parrott's bound of that norm holds for every controller.
-
-Robust-performance synthesis: K and D together by direct minimisation over the scalings, and G for real blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
 from robustlab.budget import MILLION, Budget, dense, one_thread
+from robustlab.checks import number, whole
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid
@@ -28,7 +27,7 @@ from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
 from robustlab.result import Status
-from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.riccati_level import Found, LevelSearch, grown, minimised
 from robustlab.synthesis.dk.scalings import (
     FIRST_POINTS,
@@ -42,7 +41,6 @@ from robustlab.synthesis.dk.scalings import (
 )
 from robustlab.synthesis.hinf.hinf_synthesis import channel_gains, synthesize, trial_loop
 from robustlab.synthesis.problem.certify import SHARES, certified, named_controller, with_direct_term
-from robustlab.synthesis.problem.controller import Controller
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
 from robustlab.synthesis.problem.limits import GammaBound, pointwise_bound
 from robustlab.synthesis.problem.partition import (
@@ -54,6 +52,7 @@ from robustlab.synthesis.problem.partition import (
     paths_first,
     require_performance,
 )
+from robustlab.synthesis.structures.laws import unpacked
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, block_slices, delta_values, structure_size
 from robustlab.verification.checker import check
@@ -84,45 +83,27 @@ class DKStep(AllFields):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DKSynthesis(Tabular, Synthesis):
-    r"""A robust-performance design; ``gamma`` bounds the peak of mu of ``closed_loop`` over all frequencies.
+    """A robust-performance design; ``gamma`` bounds the peak of mu of ``closed_loop`` over all frequencies.
 
     ``gamma < 1`` proves stability and a gain below one for every Delta of the structure with ``|Delta| <= 1``.
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("lower", "frequency", "scaled_level", "start_mu"), float),
-    }  # fmt: skip
-    saved = (
-        *Synthesis.saved, "lower", "frequency", "delta", "scaled_level", "scalings", "history", "start_mu",
-        "lower_bound", "why",
-    )  # fmt: skip
+    quantities = dict.fromkeys(("lower", "frequency", "scaled_level", "start_mu"), float)
+    saved = ("lower", "frequency", "delta", "scaled_level", "scalings", "history", "start_mu", "lower_bound", "why")
 
-    blocks: tuple[Block, ...]  #: The structure of mu, performance block included
-    lower: float  #: Lower bound of the peak of mu, attained by ``delta`` at ``frequency``; 0 where none was found
-    frequency: float  #: Frequency in rad/s of ``lower``, or of the largest upper bound where ``lower`` is zero
-    #: The critical perturbation there, one value per block name, of size ``1 / lower``; empty where none was found
-    delta: dict[str, Any]
-    #: D(s), G(s) of the controller's design; for a discrete plant in ``s = (2/dt) (z - 1)/(z + 1)``
-    scalings: DynamicScalings
-    #: Bound proved by ``scalings`` through the norm of the scaled loop; `proved_again` repeats the proof
-    scaled_level: float
-    #: Proof by constant D, G on frequency intervals that together cover the axis; empty where ``scaled_level`` is the
-    #: smaller bound. For a discrete loop, frequencies are those of its image in continuous time.
+    blocks: tuple[Block, ...]  # the structure of mu, performance block included
+    lower: float  # of the peak of mu, attained by `delta` at `frequency`; 0 where none was found
+    frequency: float  # in rad/s, of `lower`, or of the largest upper bound where `lower` is zero
+    delta: dict[str, Any]  # critical perturbation there by block name, of size `1 / lower`; empty where none was found
+    scalings: DynamicScalings  # D(s), G(s) of K's design; of a discrete plant in `s = (2/dt) (z - 1)/(z + 1)`
+    scaled_level: float  # bound proved by `scalings` through the norm of the scaled loop
+    # Proof by constant D, G on frequency intervals that cover the axis (that of the continuous image of a discrete
+    # loop); empty where `scaled_level` is the smaller bound.
     pieces: tuple[Piece, ...]
-    history: tuple[DKStep, ...]  #: Every iterate
-    start_mu: float  #: Largest mu, at single frequencies, of the first controller: that of H-infinity synthesis, or K0
-    #: Lower bound of mu for every stabilising controller with its origin; see `robustlab.synthesis.mu_floor`
-    lower_bound: GammaBound
-    #: One sentence: the decrease from ``start_mu``, and the reason why mu is not smaller, if it is known: the limit of
-    #: every controller, or a structure in which D changes nothing
-    why: str
-
-    def proved_again(self) -> float:
-        """Return the bound of mu that the scalings prove for the loop rebuilt from plant and K; inf: none."""
-        loop: StateSpaceModel = self.plant.close(self.K)
-        if not loop.is_stable():
-            return float("inf")
-        return proved_level(_mapped(loop), self.scalings, self.scaled_level)[0]
+    history: tuple[DKStep, ...]
+    start_mu: float  # largest mu, at single frequencies, of the first controller: of H-infinity synthesis, or K0
+    lower_bound: GammaBound  # of mu for every stabilising controller; see `mu_floor`
+    why: str  # one sentence: the decrease from `start_mu`, and the reason why mu is not smaller, if it is known
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (mu is at most this at all frequencies)"
@@ -143,7 +124,6 @@ class DKSynthesis(Tabular, Synthesis):
         ]
 
     def table(self) -> Table:
-        """Return a row for each iterate."""
         columns = {key: [getattr(step, key) for step in self.history] for key in ("stage", "gamma", "mu", "order")}
         return Table(("iterate", range(1, len(self.history) + 1)), columns)
 
@@ -202,7 +182,7 @@ def _closed(p: PlantMatrices, delta: Array) -> PlantMatrices | None:
     through = delta @ np.linalg.inv(loop)
     into, out = np.vstack([B[:, :n_w], D[:, :n_w]]) @ through, np.hstack([C[:n_z], D[:n_z]])
     moved, n = np.block([[A, B], [C, D]]) + into @ out, len(A)
-    return PlantMatrices.of(Realisation(moved[:n, :n], moved[:n, n:], moved[n:, :n], moved[n:, n:]), n_w, n_z)
+    return PlantMatrices.of(Realisation(*unpacked(moved, n)), n_w, n_z)
 
 
 def why_not_less(smallest: float, start_mu: float, floor: float, blocks: Sequence[Block]) -> str:
@@ -403,7 +383,9 @@ def dk(
     *D-K*: H-infinity synthesis, the constant D that is best for its loop, and then K and D together: gamma is minimised
     over the parameters of D, of which the two Riccati equations give K. *Direct* continues with D(s) of growing order;
     *D-G-K* with D(s) and G(s) where blocks are real. Every controller is evaluated on the loop rebuilt from it, which
-    must be stable, and by the bound that its scalings prove at all frequencies.
+    must be stable, and by the bound that its scalings prove at all frequencies. Doyle 1985; Balas, Doyle, Glover,
+    Packard, Smith, *mu-Analysis and Synthesis Toolbox* (1993); Young, "Controller design with real parametric
+    uncertainty" (1996).
 
     Parameters
     ----------
@@ -415,24 +397,18 @@ def dk(
         full complex block ``"performance"``; where blocks cover all w and z, they are the whole structure. None: the
         blocks of P, an UncertainModel or a `GeneralizedPlant` made from one. A repeated scalar gets a diagonal rational
         D times a constant triangular matrix.
-    n_meas, n_con
-        Numbers of measurements and controls; not needed for a `GeneralizedPlant`.
     K0
         Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: H-infinity
         synthesis.
     direct, mixed
-        Whether D and G may depend on the frequency (False: constant D); whether to use that real blocks are real.
+        False keeps D and G constant over the frequency; False treats real blocks as complex.
     max_order
         Largest order of the controller; default: three times the states of P, at least 24 more.
     order_rel
         Relative increase over the smallest level that is accepted for a controller of lower order, and then for one
         with slower poles. 0 requires the smallest level, whose controller is often extremely fast.
-    time_limit, effort
-        Time limit in s for everything (default: none; where it ends the search the status is TIMEOUT); multiple of the
-        usual work (one to two minutes of one core at most), counted, so that the result is the same on any machine.
-        ``reason`` reports a search that ended early.
-    progress
-        Called with one line at each iterate.
+    n_meas, n_con, time_limit, effort, progress
+        As for `robustlab.hinf`; effort 1 is one to two minutes of one core at most.
 
     Returns
     -------
@@ -442,16 +418,10 @@ def dk(
 
     Raises
     ------
-    InputError
+    InputError, NoTrustworthyNumber
         Blocks that do not fit P, no blocks at all (use `hinf`), a range that is not symmetric (see `centred`), a K0
-        that does not fit or does not stabilise.
-    NoTrustworthyNumber
-        An unstable mode that no controller can stabilise (named), or no verified controller.
-
-    References
-    ----------
-    Doyle (1985); Balas, Doyle, Glover, Packard, Smith, *mu-Analysis and Synthesis Toolbox* (1993); Young (1996),
-    "Controller design with real parametric uncertainty".
+        that does not fit or does not stabilise. An unstable mode that no controller can stabilise, or no verified
+        controller.
 
     Examples
     --------
@@ -463,17 +433,13 @@ def dk(
     ('certified', True)
     """
     plant, all_blocks = structure_with_performance(P, blocks, n_meas, n_con)
-    if not 0 <= order_rel < 1:
-        raise InputError("synth dk", f"order_rel is {order_rel}", "a number in [0, 1)")
-    budget = design_budget("synth dk", WORK, effort, time_limit)
+    number("synth dk: order_rel", order_rel, at_least=0, below=1)
+    budget = design_budget("synth dk", effort, time_limit, WORK)
     n = plant.model.n_states
-    if max_order is None:
-        max_order = max(3 * n, n + 24)
-    elif isinstance(max_order, bool) or not isinstance(max_order, (int, np.integer)) or max_order < n:
-        raise InputError("synth dk", f"max_order is {max_order!r}", f"at least {n}, the number of states of P")
+    most = max(3 * n, n + 24) if max_order is None else whole("synth dk: max_order", max_order, n)  # P has n states
     with one_thread(), np.errstate(over="ignore", invalid="ignore"):  # results are verified independently
         compile_kernels()
-        search = _Search(plant, all_blocks, budget, int(max_order), mixed, progress or (lambda _: None))
+        search = _Search(plant, all_blocks, budget, most, mixed, progress or (lambda _: None))
         search.start(K0)
         search.descend(direct)
         return search.finished(order_rel)
@@ -536,7 +502,9 @@ class _Search:
         if K0 is None:
             K = synthesize(self.plant, "hinf", 1.0, self.search.share(START_SHARE)).K
         else:
-            K = _controller(K0, self.plant)
+            K = self.plant.fitted(K0, "synth dk: K0")
+            if K.dt != self.plant.model.dt:
+                raise InputError("synth dk: K0", f"dt is {K.dt:g} s", f"{self.plant.model.dt:g} s, as the plant")
         found = self.problem.proved(K, unit_scalings(self.blocks), 1.0)
         if found is None:
             if K0 is not None:
@@ -674,12 +642,3 @@ def _lower(curve: MuCurve, blocks: tuple[Block, ...]) -> tuple[float, dict[str, 
     if delta is None:
         return 0.0, {}, float(curve.omega[top[0]])
     return value, delta_values(blocks, project(blocks, delta)), float(curve.omega[top[best]])
-
-
-def _controller(K0: Any, plant: GeneralizedPlant) -> StateSpaceModel:
-    K = K0.K if isinstance(K0, (Synthesis, Controller)) else as_model(K0, "synth dk: K0")
-    if K.D.shape != (plant.n_con, plant.n_meas) or K.dt != plant.model.dt:
-        found = f"{K.n_outputs} x {K.n_inputs} with dt = {K.dt:g} s"
-        expected = f"{plant.n_con} x {plant.n_meas} with dt = {plant.model.dt:g} s"
-        raise InputError("synth dk: K0", found, expected)
-    return K

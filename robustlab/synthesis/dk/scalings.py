@@ -31,6 +31,7 @@ ROUNDS = 3  # rounds of refinement ...
 ADDED = 24  # ... and frequencies added in each; more: fewer peaks missed, more work
 CHUNK = 8  # frequencies between two checks of the budget
 MU_TOLERANCE = 1e-4  # of the upper bounds
+PROOF_RTOL = 1e-6  # of the level that scalings prove
 LOG_ERROR = 0.1  # mu lower than the peak by this logarithm counts half for the constant D; larger: even weights
 
 Sections = tuple[tuple[float, ...], ...]
@@ -210,10 +211,8 @@ class DynamicScalings:
                 yield replace(self, parts=_put(self.parts, i, flat)), replace(self, parts=_put(self.parts, i, tilted))
 
     def to_json(self) -> list[dict[str, object]]:
-        return [
-            {"block": block.name, "factors": [vars(f) for f in part.factors], "mixing": part.mixing, "g": part.g}
-            for block, part in zip(self.blocks, self.parts, strict=True)
-        ]
+        pairs = zip(self.blocks, self.parts, strict=True)
+        return [{"block": b.name, **vars(p), "factors": [vars(factor) for factor in p.factors]} for b, p in pairs]
 
     def on_outputs(self, size: int = 0) -> Realisation:
         """Return ``D_z(s)``, shape (p, p), with further channels of gain 1 up to ``size``."""
@@ -333,21 +332,19 @@ def _at_level(system: Realisation, scalings: DynamicScalings, beta: float, n_w: 
     return both
 
 
-def proved_level(
-    loop: StateSpaceModel, scalings: DynamicScalings, guess: float = 1.0, rtol: float = 1e-6
-) -> tuple[float, HinfNorm]:
+def proved_level(loop: StateSpaceModel, scalings: DynamicScalings, guess: float) -> tuple[float, HinfNorm]:
     """Return the smallest bound of mu of a stable continuous loop that these scalings prove; inf: none."""
     norms = dict[float, HinfNorm]()
 
     def norm(beta: float) -> float | None:
         scaled = _at_level(Realisation.of(loop), scalings, beta, loop.n_inputs)
-        norms[beta] = hinf_norm(StateSpaceModel(*scaled, where="scaled loop"), min(rtol, 1e-7 if scalings.mixed else 1))
+        norms[beta] = hinf_norm(StateSpaceModel(*scaled, where="scaled loop"), 1e-7 if scalings.mixed else PROOF_RTOL)
         return norms[beta].upper if np.isfinite(norms[beta].upper) else None
 
     if not scalings.mixed:
         norm(1.0)
         return norms[1.0].upper, norms[1.0]
-    found = smallest_level(norm, guess, rtol, Budget(), FIRST_STEP)
+    found = smallest_level(norm, guess, PROOF_RTOL, Budget(), FIRST_STEP)
     return (np.inf, next(iter(norms.values()))) if found is None else (found[0], norms[found[0]])
 
 

@@ -7,13 +7,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array
-from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, dense, one_thread
-from robustlab.errors import InputError, NoTrustworthyNumber, error_context
+from robustlab.budget import NOT_REPEATABLE, Budget, dense, one_thread
+from robustlab.checks import number
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import refuse_extremes
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
@@ -27,22 +28,18 @@ from robustlab.synthesis.problem.certify import (
     well_posed_neighbours,
     with_direct_term,
 )
-from robustlab.synthesis.problem.design import HinfSynthesis, design_budget, final_status, limiting_channels
+from robustlab.synthesis.problem.design import HinfSynthesis, final_status, limiting_channels
 from robustlab.synthesis.problem.limits import broken_assumptions, pointwise_bound, require_stabilisable
 from robustlab.synthesis.problem.partition import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,
     Scaling,
-    as_generalized_plant,
     equilibrated,
     paths_first,
-    require_performance,
 )
 from robustlab.synthesis.structures.loops import ModalLoop, largest_gain
 
-# Work of a design at effort 1; most plants need less than a tenth. More: longer searches on hard plants.
-WORK = 60 * MILLION
 # Ratio of gamma allowed for a certified norm where the best loop is so stiff that its norm loses digits.
 LESS_STIFF = 1.001
 # Candidates of finite norm that are considered, and how many of them are given to the checker, best first.
@@ -93,7 +90,6 @@ class Candidate:
 
     @property
     def stiffness(self) -> float:
-        """Fastest controller pole over slowest mode of the loop."""
         return self.pace / max(self.decay, 1e-300)
 
 
@@ -404,38 +400,15 @@ class Verifier:
         return self.proofs[closed.candidate]
 
 
-@error_context("synth hinf")
-def hinf(
-    P: Any,
-    n_meas: int | None = None,
-    n_con: int | None = None,
-    *,
-    gamma_rel: float = 1.05,
-    time_limit: float | None = None,
-    effort: float = 1.0,
-    progress: Callable[[str], None] | None = None,
-) -> HinfSynthesis:
-    """Design a controller of a rational plant; see `robustlab.hinf`."""
-    plant = as_generalized_plant(P, n_meas, n_con, "synth hinf")
-    require_performance(plant, "synth hinf")
-    budget = design_budget("synth hinf", WORK, effort, time_limit)
-    return synthesize(plant, "hinf", gamma_rel, budget, progress=progress)
-
-
 @one_thread()
 @np.errstate(over="ignore", invalid="ignore")  # results are verified afterwards
 def synthesize(
-    plant: GeneralizedPlant,
-    method: str,
-    gamma_rel: float,
-    budget: Budget,
-    weights: Mapping[str, StateSpaceModel] | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> HinfSynthesis:
-    """Search a controller for `hinf` or `mixsyn`."""
+    plant: GeneralizedPlant, method: str, gamma_rel: float, budget: Budget,
+    weights: Mapping[str, StateSpaceModel] | None = None, progress: Callable[[str], None] | None = None,
+) -> HinfSynthesis:  # fmt: skip
+    """Search a controller of a rational plant for `hinf` or `mixsyn`."""
     where = f"synth {method}"
-    if not 1 <= gamma_rel <= 1e6:
-        raise InputError(where, f"gamma_rel is {gamma_rel}", "a number from 1 to 1e6")
+    number(f"{where}: gamma_rel", gamma_rel, at_least=1, at_most=1e6)
     refuse_extremes(plant.model, where)
     report = progress or (lambda _: None)
     continuous = plant.continuous()
@@ -451,8 +424,7 @@ def synthesize(
         ended = f": {NOT_REPEATABLE}" if budget.struck else " within the work budget" if budget.over else ""
         many = f"{len(leader.candidates) + len(other.candidates)} were found by two Riccati equations in two scalings"
         hint = "look at the plant's scaling, at poles and zeros on the imaginary axis, and at D12 and D21"
-        found = f"no controller could be verified{ended} ({many})"
-        raise NoTrustworthyNumber(where, found, hint=hint, more=assumptions)
+        raise NoTrustworthyNumber(where, f"no controller could be verified{ended} ({many})", None, hint, assumptions)
     report(f"two Riccati equations: gamma {best.gamma:.6g}")
     if best.doubt:  # the controller is so fast that digits are lost
         relax(leader, best.candidate, (0.2 + 0.8 * LESS_STIFF) * best.gamma)

@@ -5,24 +5,25 @@ r"""H-infinity loop shaping (Glover, McFarlane): the most robust controller of a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from robustlab.budget import one_thread
+from robustlab.checks import number
 from robustlab.display import Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.norms import HinfNorm, bilinear_to_discrete, hinf_norm
 from robustlab.result import Status
 from robustlab.signals import Taken
-from robustlab.statespace import Signal, StateSpaceModel, append, as_model, series
-from robustlab.synthesis.hinf.hinf_synthesis import WORK, synthesize
+from robustlab.statespace import Signal, StateSpaceModel, as_model, series
+from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.certify import certified, named_controller, surely_stable
 from robustlab.synthesis.problem.design import HinfSynthesis, Synthesis, design_budget, limiting_channels
-from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance
-from robustlab.synthesis.specifications.weight_design import in_time_of_plant
+from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance, side_by_side
+from robustlab.synthesis.specifications.weight_design import stable_weight, weight_on_channels
 from robustlab.uncertainty.distances import (
     CoprimeMargin,
     CoprimeRiccati,
@@ -53,38 +54,32 @@ def mixsyn(
     .. math:: \min_K \left\| \begin{matrix} W_1 S \\ W_2 K S \\ W_3 T \end{matrix} \right\|_\infty, \qquad
         S = (I + G K)^{-1}, \quad T = G K S
 
-    Sign of K: the controller sees the error, ``u = K (r - y)``. So K is *positive feedback* from ``e = r - G u`` into
-    the generalised plant, as everywhere in this package, and at the same time the forward controller of the usual
-    *negative* feedback loop: its loop gain is ``G K``. ``K.inputs`` record the sign; ``disk_margin(G, K)``,
-    ``G.feedback(K)`` and every other function that closes a loop use it.
+    The controller sees the error, ``u = K (r - y)``: K is *positive feedback* from ``e = r - G u`` into the generalised
+    plant and the forward controller of the usual *negative* feedback loop with loop gain ``G K``. ``K.inputs`` record
+    the sign, which every function that closes a loop uses. Skogestad, Postlethwaite 2005, section 9.3.6 and example
+    2.17.
 
     Parameters
     ----------
     G
         Plant: StateSpaceModel, UncertainModel (its nominal model) or python-control object, n_y outputs and n_u inputs.
     W1, W2, W3
-        Weights on e (n_y channels), u (n_u channels) and G u (n_y channels). None leaves the term out; a number or a
-        model with one input and one output is used on every channel; else a model or a constant matrix with as many
-        inputs as channels. Weights must be stable and proper. See `robustlab.synthesis.specifications.weight_design`.
+        Stable, proper weights on e (n_y channels), u (n_u channels) and G u (n_y channels). None leaves the term out; a
+        number or a model with one input and one output is used on every channel; else a model or a constant matrix with
+        as many inputs as channels. See `robustlab.synthesis.specifications.weight_design`.
     gamma_rel, time_limit, effort, progress
         As for `robustlab.hinf`.
 
     Returns
     -------
     HinfSynthesis
-        ``K`` with inputs ``e NAME``, the errors of the plant's outputs; ``closed_loop`` is the stack above, driven
-        by r.
+        ``K`` with inputs ``e NAME``, the errors of the plant's outputs; ``closed_loop`` is the stack above, driven by
+        r.
 
     Raises
     ------
-    InputError
-        No weight at all, wrong number of channels, a weight that is not stable, different sample times.
-    NoTrustworthyNumber
-        See `robustlab.hinf`.
-
-    References
-    ----------
-    Skogestad, Postlethwaite 2005, section 9.3.6 and example 2.17.
+    InputError, NoTrustworthyNumber
+        No weight at all, wrong number of channels, a weight that is not stable, different sample times; as `hinf`.
 
     Examples
     --------
@@ -95,7 +90,7 @@ def mixsyn(
     ('certified', True)
     """
     plant, weights = mixed_sensitivity_plant(G, W1, W2, W3)
-    budget = design_budget("synth mixsyn", WORK, effort, time_limit)
+    budget = design_budget("synth mixsyn", effort, time_limit)
     return synthesize(plant, "mixsyn", gamma_rel, budget, weights, progress=progress)
 
 
@@ -110,23 +105,17 @@ def mixed_sensitivity_plant(
     given = {name: w for name, w in (("W1", W1), ("W2", W2), ("W3", W3)) if w is not None}
     if not given:
         raise InputError("mixsyn", "no weight", "at least one of W1, W2, W3")
-    weights = {name: _stable_weight(w, len(channels[name]), name, g.dt) for name, w in given.items()}
+    hint = "several weights side by side are one model: robustlab.statespace.append(W, W)"
+    weights = {k: stable_weight(w, len(channels[k]), g.dt, f"mixsyn: {k}", hint) for k, w in given.items()}
     n, n_y, n_u = g.n_states, g.n_outputs, g.n_inputs
     rows = {
         "W1": (-g.C, np.hstack([np.eye(n_y), -g.D])),
         "W2": (np.zeros((n_u, n)), np.hstack([np.zeros((n_u, n_y)), np.eye(n_u)])),
         "W3": (g.C, np.hstack([np.zeros((n_y, n_y)), g.D])),
     }
-    parts = [rows[name] for name in weights] + [rows["W1"]]
-    C, D = (np.vstack(part) for part in zip(*parts, strict=True))
+    C, D = (np.vstack(parts) for parts in zip(*(rows[name] for name in [*weights, "W1"]), strict=True))
     signals = StateSpaceModel(g.A, np.hstack([np.zeros((n, n_y)), g.B]), C, D, g.dt, states=g.states)
-    ends = [f"e{i}" for i in range(n_y)]
-    through = StateSpaceModel([], [], [], np.eye(n_y), g.dt, ends, ends)
-    filters = [
-        w.renamed([f"{name} into {i}" for i in range(w.n_inputs)], [f"{name} out {i}" for i in range(w.n_outputs)])
-        for name, w in weights.items()
-    ]
-    joined = series(signals, append(*filters, through))
+    joined = series(signals, side_by_side(*weights.values(), StateSpaceModel([], [], [], np.eye(n_y), g.dt)))
     errors = [Taken(f"e {s.name}", s.unit, "r - y", s.name) for s in g.outputs]
     controls = [Signal(s.name, s.unit) for s in g.inputs]
     references = [Signal(f"r {s.name}", s.unit) for s in g.outputs]
@@ -142,59 +131,30 @@ def mixed_sensitivity_plant(
     return GeneralizedPlant(model, n_y, n_u), weights
 
 
-def _stable_weight(given: Any, n: int, name: str, dt: float) -> StateSpaceModel:
-    """Return the weight as a stable model with n inputs, in the plant's time."""
-    where = f"mixsyn: {name}"
-    several = "several weights side by side are one model: robustlab.statespace.append(W, W)"
-    weight = weight_on_channels(given, n, dt, where, several)
-    if not weight.is_stable():
-        hint = "no controller can move a weight's pole; make an integrator a slow lag: s + omega_B * A instead of s"
-        raise InputError(where, f"spectral abscissa is {weight.spectral_abscissa():.3g}", "a stable weight", hint)
-    if weight.n_inputs != n:
-        raise InputError(where, f"{weight.n_inputs} inputs", f"{n}, or one input and one output")
-    return weight
-
-
-def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | None = None) -> StateSpaceModel:
-    """Return a weight (a number, a matrix or a model) in the plant's time; one of one channel is used on all n."""
-    if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
-        try:
-            gain = np.atleast_2d(given)
-            if gain.dtype.kind == "c":
-                raise InputError(where, "complex numbers", "a model or real numbers", hint)
-            gain = gain.astype(float)
-        except (TypeError, ValueError):
-            raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers", hint) from None
-        given = StateSpaceModel([], [], [], gain, where=where)
-    weight = in_time_of_plant(as_model(given, where), dt, where)
-    if n > 1 and (weight.n_inputs, weight.n_outputs) == (1, 1):
-        weight = append(*(weight.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
-    return weight
+def _labels(name: str, channels: list[str], n_outputs: int) -> list[str]:
+    term = {"W1": "S", "W2": "K S", "W3": "T"}[name]
+    own = channels if n_outputs == len(channels) else [str(i + 1) for i in range(n_outputs)]
+    return [f"{name} {term}: {channel}" for channel in own]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NcfSynthesis(Synthesis):
-    r"""A loop-shaping design.
+    r"""A loop-shaping design: ``K = W1 K_shaped W2`` for the plant as given, ``u = K y`` with positive feedback.
 
-    ``K = W1 K_shaped W2`` is for the plant as given, ``u = K y`` with positive feedback; ``closed_loop`` is the loop of
-    that plant with noise on y and a disturbance on u, whose norm is not minimised. ``gamma`` bounds
+    ``closed_loop`` is the loop of that plant with noise on y and a disturbance on u, not minimised. ``gamma`` bounds
 
     .. math:: \left\| \begin{bmatrix} G_s \\ I \end{bmatrix} (I - K_s G_s)^{-1}
         \begin{bmatrix} K_s & I \end{bmatrix} \right\|_\infty
     """
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("gamma_min", "factor"), float),
-    }  # fmt: skip
-    saved = (*Synthesis.saved, "gamma_min", "factor", "margin", "K_shaped", "shaped_plant")
+    quantities = dict.fromkeys(("gamma_min", "factor"), float)
+    saved = ("gamma_min", "factor", "margin", "K_shaped", "shaped_plant")
 
-    gamma_min: float  #: The smallest gamma of any controller, exact
-    factor: float  #: The requested ratio: ``gamma <= factor gamma_min``
-    #: Verified coprime stability margin of the shaped loop, ``1/gamma``; above about 0.25 the shape of the loop is kept
-    margin: CoprimeMargin
-    #: Controller of the shaped plant and that plant, ``W2 G W1``
-    K_shaped: StateSpaceModel
-    shaped_plant: StateSpaceModel
+    gamma_min: float  # the smallest gamma of any controller, exact
+    factor: float  # the requested ratio: `gamma <= factor gamma_min`
+    margin: CoprimeMargin  # of the shaped loop, `1/gamma`, verified; above about 0.25 the shape of the loop is kept
+    K_shaped: StateSpaceModel  # controller of the shaped plant
+    shaped_plant: StateSpaceModel  # W2 G W1
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} (verified upper bound; margin {self.margin.lower:.4g})"
@@ -209,10 +169,11 @@ class NcfSynthesis(Synthesis):
 @error_context("synth ncf")
 @one_thread()
 def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSynthesis:
-    r"""Design the loop-shaping controller of largest, or nearly largest, coprime stability margin.
+    """Design the loop-shaping controller of largest, or nearly largest, coprime stability margin.
 
     Sign of K: ``u = K y`` with *positive* feedback, as everywhere in this package and in the literature on this method.
-    For negative feedback, ``u = K_n (r - y)``, take ``K_n = -K``.
+    For negative feedback, ``u = K_n (r - y)``, take ``K_n = -K``. McFarlane, Glover 1992; Skogestad, Postlethwaite
+    2005, section 9.4.1, eqs 9.74 to 9.78 (general D there too).
 
     Parameters
     ----------
@@ -230,20 +191,14 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     Returns
     -------
     NcfSynthesis
-        Both the loop of the shaped plant and that of the plant as given were rebuilt and verified. A discrete plant is
-        solved through the bilinear map, which keeps the margin exactly, and verified in discrete time.
+        The loops of the shaped plant and of the plant as given were rebuilt and verified. A discrete plant is solved
+        through the bilinear map, which keeps the margin exactly, and verified in discrete time.
 
     Raises
     ------
-    InputError
-        ``factor`` not above 1, weights whose sizes or sample times do not fit.
-    NoTrustworthyNumber
-        A mode of the shaped plant that cannot be stabilised (a weight may have cancelled it), a loop that was not
-        verified.
-
-    References
-    ----------
-    McFarlane, Glover 1992; Skogestad, Postlethwaite 2005, section 9.4.1, eqs 9.74 to 9.78 (general D there too).
+    InputError, NoTrustworthyNumber
+        ``factor`` not above 1, weights whose sizes or sample times do not fit. A mode of the shaped plant that cannot
+        be stabilised (a weight may have cancelled it), a loop that was not verified.
 
     Examples
     --------
@@ -253,8 +208,7 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     (1.414214, True, 'certified')
     """
     where = "synth ncf"
-    if not 1 < factor <= 1e6:
-        raise InputError(where, f"factor is {factor}", "a number above 1, such as 1.1, of at most 1e6")
+    number(f"{where}: factor", factor, "a number above 1, such as 1.1, of at most 1e6", above=1, at_most=1e6)
     g = as_model(G, f"{where}: G")
     if not g.n_inputs or not g.n_outputs:
         raise InputError(f"{where}: G", f"{g.n_outputs} outputs and {g.n_inputs} inputs", "at least one of each")
@@ -288,15 +242,11 @@ def ncf(G: Any, W1: Any = None, W2: Any = None, *, factor: float = 1.1) -> NcfSy
     if not doubt and gamma > factor * gamma_min * SHAPED_LOSS:
         doubt = f"gamma misses {factor:g} gamma_min = {factor * gamma_min:.6g}: digits lost"
     proved = "loops of the shaped plant and of the plant as given are stable, with norms proved in ball arithmetic"
-    ys, us = shaped.output_names, shaped.input_names
-    named = shaped_plant.close(inner).renamed(
-        [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
-        [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
-    )
+    status = Status.INACCURATE if doubt else Status.CERTIFIED
+    limit = limiting_channels(_named_channels(shaped_plant.close(inner), shaped), margin.frequency)
     return NcfSynthesis(
-        K=K, gamma=gamma, closed_loop=loop, status=Status.INACCURATE if doubt else Status.CERTIFIED,
-        reason=doubt or proved, limit=limiting_channels(named, margin.frequency), plant=plant, method="ncf",
-        gamma_min=gamma_min, factor=factor, margin=margin, K_shaped=inner, shaped_plant=shaped,
+        K=K, gamma=gamma, closed_loop=loop, status=status, reason=doubt or proved, limit=limit, plant=plant,
+        method="ncf", gamma_min=gamma_min, factor=factor, margin=margin, K_shaped=inner, shaped_plant=shaped,
     )  # fmt: skip
 
 
@@ -327,6 +277,34 @@ def with_default_performance(plant: GeneralizedPlant, where: str) -> Generalized
         return four_block_plant(plant.model)
     require_performance(plant, where, "or a bare plant, to judge its loop by the four-block gain")
     return plant
+
+
+def _bare(model: StateSpaceModel) -> StateSpaceModel:
+    """Return the model without units, which weights change."""
+    return model.renamed(list(model.input_names), list(model.output_names))
+
+
+def _weight(given: Any, g: StateSpaceModel, name: str) -> StateSpaceModel:
+    """Return the weight on all channels, in the plant's time and with the plant's names on the plant's side."""
+    where, first = f"synth ncf: {name}", name == "W1"
+    names = list(g.input_names if first else g.output_names)
+    n = len(names)
+    w = weight_on_channels(np.eye(n) if given is None else given, n, g.dt, where)
+    meets = w.n_outputs if first else w.n_inputs
+    if meets != n:
+        side = "outputs" if first else "inputs"
+        raise InputError(where, f"{meets} {side}", f"{n}, or one input and one output")
+    far = w.n_inputs if first else w.n_outputs
+    free = names if far == n else [f"{name} {i + 1}" for i in range(far)]
+    return w.renamed(free if first else names, names if first else free)
+
+
+def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpaceModel:
+    ys, us = [s.name for s in shaped.outputs], [s.name for s in shaped.inputs]
+    return loop.renamed(
+        [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
+        [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
+    )
 
 
 def _bare(model: StateSpaceModel) -> StateSpaceModel:

@@ -177,7 +177,6 @@ class Quadratic(NamedTuple):
 
 
 def quadratic(p: PlantMatrices) -> Quadratic:
-    """Return the equation of a plant."""
     row = np.hstack([p.D11, p.D12])
     R = row.T @ row
     return Quadratic(p.A, np.hstack([p.B1, p.B2]), p.C1.T @ p.C1, p.C1.T @ row, 0.5 * (R + R.T), p.B1.shape[1])

@@ -26,8 +26,8 @@ from robustlab.norms.claims import above, gramian_claims, h2_loop_claims, loop_n
 from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.result import Status
 from robustlab.signals import Taken
-from robustlab.statespace import StateSpaceModel, append, series
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation
+from robustlab.statespace import StateSpaceModel, series
+from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, side_by_side
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.balls import midpoints, precision
@@ -145,12 +145,9 @@ class Certificate(NamedTuple):
 
 
 def certified(
-    plant: GeneralizedPlant,
-    K: StateSpaceModel,
-    norm: HinfNorm | H2Norm,
-    level: float | None = None,
+    plant: GeneralizedPlant, K: StateSpaceModel, norm: HinfNorm | H2Norm, level: float | None = None,
     effort: int = EFFORT,
-) -> Certificate:
+) -> Certificate:  # fmt: skip
     """Prove the norm of the loop of P and K; if that loop has a larger norm, return the larger one with a doubt."""
     value = norm.value if isinstance(norm, H2Norm) else norm.upper if level is None else level
     if not np.isfinite(value):
@@ -214,7 +211,6 @@ class Performance:
 
     @property
     def status(self) -> Status:
-        """How much the value can be trusted."""
         if self.doubt:
             return Status.INACCURATE
         return Status.CERTIFIED if isinstance(self.evidence, HinfNorm) else self.evidence.status
@@ -234,11 +230,9 @@ class PerformanceMeasure:
 
     @property
     def text(self) -> str:
-        """The measure in words."""
-        if self.name == "mu":
-            by = " (by the design's scalings)" if self.scaled else ""
-            return f"mu of robust performance, at all frequencies{by}"
-        return {"hinf": "H-infinity norm", "h2": "H2 norm"}[self.name]
+        by = " (by the design's scalings)" if self.scaled else ""
+        mu = f"mu of robust performance, at all frequencies{by}"
+        return {"hinf": "H-infinity norm", "h2": "H2 norm", "mu": mu}[self.name]
 
     @property
     def gramian_plant(self) -> GeneralizedPlant:
@@ -315,8 +309,6 @@ def plant_with_scalings(plant: GeneralizedPlant, scalings: Any) -> GeneralizedPl
     m, wide = plant.model, list[StateSpaceModel]()
     for made, rest in ((scalings.on_outputs(), plant.n_meas), (scalings.on_inputs(), plant.n_con)):
         d = bilinear_to_discrete(StateSpaceModel(*made), m.dt) if m.dt else StateSpaceModel(*made)
-        names = [f"straight{i}" for i in range(rest)]
-        through = StateSpaceModel([], [], [], np.eye(rest), m.dt, names, names)
-        wide.append(append(StateSpaceModel(d.A, d.B, d.C, d.D, m.dt), through))
+        wide.append(side_by_side(d, StateSpaceModel([], [], [], np.eye(rest), m.dt)))
     scaled = series(series(wide[1], StateSpaceModel(m.A, m.B, m.C, m.D, m.dt)), wide[0])  # without units
     return GeneralizedPlant(scaled.renamed(m.inputs, m.outputs), plant.n_meas, plant.n_con, plant.blocks)

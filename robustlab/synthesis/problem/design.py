@@ -1,25 +1,91 @@
-"""A finished design: the controller as stored, its verified properties, and how its search ended."""
+"""A controller as designs return it and files store it, and a finished design with its verified properties."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 
-from robustlab.budget import NOT_REPEATABLE, Budget, search_budget
+from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, search_budget
 from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.structural import reached
 from robustlab.norms import HinfNorm
+from robustlab.provenance import Traced
 from robustlab.result import Status
-from robustlab.signals import law
-from robustlab.statespace import StateSpaceModel, lower_lft
-from robustlab.synthesis.problem.controller import Controller
+from robustlab.signals import Taken, law
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft
 from robustlab.synthesis.problem.limits import GammaBound
 from robustlab.synthesis.problem.partition import GeneralizedPlant
+
+WORK = 60 * MILLION  # the usual work of a design, in units of about a microsecond
+
+
+@dataclass(frozen=True, eq=False)
+class Controller(Displayable, Traced):
+    """A controller whose inputs record the sign with which it closes a loop (`law`).
+
+    Attributes
+    ----------
+    K, gamma, status, method
+        The controller, from measurements to controls; verified closed-loop H-infinity norm for the generalised plant it
+        was designed on, None where none was; how much it can be trusted; the design method, for example ``"mixsyn"``.
+    takes
+        Not stored: what the inputs take of the plant's signals, one word for all or one for each: ``"y"`` (u = K y),
+        ``"r - y"`` (u = K (r - y)), ``"-y"``, ``"y - r"`` or ``"r"``. Left out: as K's inputs record it; designs do.
+    design
+        The design it comes from, whose claims go into its file, for `robustlab.verify`; None of other controllers, and
+        of one that was read from a file.
+
+    Raises
+    ------
+    InputError
+        No such word, or another number of words than inputs.
+
+    Examples
+    --------
+    >>> pi = StateSpaceModel([[0.0]], [[1.0]], [[2.0]], [[3.0]], inputs=["omega"], outputs=["u"])
+    >>> Controller(pi, takes="r - y").law
+    'u = K (r - y)'
+    """
+
+    K: StateSpaceModel
+    gamma: float | None = None
+    status: Status = Status.INCONCLUSIVE
+    method: str = ""
+    takes: InitVar[str | Sequence[str] | None] = None
+    design: Any = field(default=None, repr=False)
+
+    def __post_init__(self, takes: str | Sequence[str] | None) -> None:
+        object.__setattr__(self, "K", as_model(self.K, "Controller: K"))
+        if takes is None:
+            return
+        if not isinstance(takes, str | Sequence) or not all(isinstance(word, str) for word in takes):
+            raise InputError("Controller: takes", repr(takes), "a word as in 'r - y', or a list of one for each input")
+        words = [takes] * self.K.n_inputs if isinstance(takes, str) else list(takes)
+        if len(words) != self.K.n_inputs:
+            raise InputError("Controller: takes", f"{len(words)} words", f"one, or {self.K.n_inputs}")
+        of = [s.of if isinstance(s, Taken) else s.name for s in self.K.inputs]
+        inputs = [Taken(s.name, s.unit, word, name) for s, word, name in zip(self.K.inputs, words, of, strict=True)]
+        object.__setattr__(self, "K", self.K.renamed(inputs))
+
+    @property
+    def law(self) -> str:
+        """The feedback law, ``u = K (r - y)`` for example; empty where unknown."""
+        return law(self.K.inputs)
+
+    def to_model(self) -> StateSpaceModel:
+        return self.K
+
+    def facts(self) -> Facts:
+        said = self.law or "not known: say it where a loop is closed"
+        return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
+
+    def to_json(self) -> dict[str, object]:
+        return {"K": self.K, "gamma": self.gamma, "status": self.status, "method": self.method, "law": self.law}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,15 +95,13 @@ class Design(Displayable):
     quantities: ClassVar[Mapping[str, Any]] = {"gamma": float}
     saved: ClassVar[tuple[str, ...]] = ("status", "gamma", "reason", "K")  # attributes that `to_json` gives
 
-    #: The controller, ``u = K y`` with positive feedback into the plant's lower LFT; its inputs record what they take
-    K: Any
-    gamma: float  #: Verified upper bound of the objective (see the docstring of the method)
-    closed_loop: Any  #: The lower LFT of plant and K, from w to z
-    #: CERTIFIED where the rebuilt loop is stable and ``gamma`` was proved for it; INACCURATE where digits were lost;
-    #: TIMEOUT where that was proved, too, but the time limit ended the search: another run may give another K. It is
-    #: about ``gamma`` of this K, not about optimality.
+    K: Any  # `u = K y` with positive feedback into the plant's lower LFT; its inputs record what they take
+    gamma: float  # verified upper bound of the objective of the method
+    closed_loop: Any  # the lower LFT of plant and K, from w to z
+    # Of `gamma` of this K, not of optimality. CERTIFIED where the rebuilt loop is stable and `gamma` was proved for it;
+    # INACCURATE where digits were lost; TIMEOUT where the time limit ended the search: another run may give another K.
     status: Status
-    reason: str  #: Why the method stopped, and how much of the result is proved
+    reason: str  # why the method stopped, and how much of the result is proved
 
     def headline(self) -> str:
         return f"A controller of {number(self.K.n_states)} states, gamma {self._gamma_text()}"
@@ -63,12 +127,17 @@ class Synthesis(Design):
 
     K: StateSpaceModel
     closed_loop: StateSpaceModel
-    limit: str  #: The channels with the largest share in the peak
-    plant: GeneralizedPlant  #: The generalised plant, so that the result can be checked again
-    method: str  #: Name of the design method
+    limit: str  # the channels with the largest share in the peak
+    plant: GeneralizedPlant  # with which the result can be checked again
+    method: str  # name of the design method
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        base = super(cls, cls)  # a class declares only what it adds to those of its base
+        cls.quantities = {**base.quantities, **cls.quantities}
+        cls.saved = tuple(dict.fromkeys((*base.saved, *cls.saved)))
 
     def to_model(self) -> StateSpaceModel:
-        """Return K, so that a design can be used as a controller."""
         return self.K
 
     @property
@@ -88,7 +157,6 @@ class Synthesis(Design):
 
     @property
     def stable(self) -> bool:
-        """Whether the closed loop is stable."""
         return self.closed_loop.spectral_abscissa() < 0
 
     @property
@@ -137,24 +205,15 @@ class Synthesis(Design):
 class HinfSynthesis(Synthesis):
     """An H-infinity design; ``gamma`` bounds the H-infinity norm of ``closed_loop``."""
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities,
-        **dict.fromkeys(("smallest_gamma", "peak_frequency", "gamma_lower"), float),
-    }  # fmt: skip
-    saved = (
-        *Synthesis.saved, "smallest_gamma", "peak_frequency", "norm", "gamma_lower", "lower_bound",
-        "assumptions",
-    )  # fmt: skip
+    quantities = dict.fromkeys(("smallest_gamma", "peak_frequency", "gamma_lower"), float)
+    saved = ("smallest_gamma", "peak_frequency", "norm", "gamma_lower", "lower_bound", "assumptions")
 
-    peak_frequency: float  #: Frequency in rad/s at which the closed loop attains its norm
-    #: Smallest verified gamma of the search; K may be a slower controller within the allowed ratio of it
-    smallest_gamma: float
-    norm: HinfNorm  #: The bracket of the closed loop's norm
-    lower_bound: GammaBound  #: Lower bound of gamma over all stabilising controllers, and how it is known
-    #: The textbook assumptions that the plant does not meet, in words; the search regularised where there are any
-    assumptions: tuple[str, ...]
-    #: Weights of a mixed-sensitivity problem, by name
-    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)
+    peak_frequency: float  # in rad/s, at which the closed loop attains its norm
+    smallest_gamma: float  # verified, of the search; K may be a slower controller within the allowed ratio of it
+    norm: HinfNorm  # bracket of the closed loop's norm
+    lower_bound: GammaBound  # of gamma over all stabilising controllers
+    assumptions: tuple[str, ...]  # textbook assumptions that the plant violates; where any, the search regularised
+    weights: Mapping[str, StateSpaceModel] = field(default_factory=dict)  # of a mixed-sensitivity problem, by name
 
     def _gamma_text(self) -> str:
         return f"{self.gamma:.6g} at {self.peak_frequency:.4g} rad/s (verified upper bound)"
@@ -172,7 +231,7 @@ class HinfSynthesis(Synthesis):
         return self.lower_bound.value
 
 
-def design_budget(where: str, work: float, effort: float, time_limit: float | None) -> Budget:
+def design_budget(where: str, effort: float, time_limit: float | None, work: float = WORK) -> Budget:
     """Return the budget of a design; a time limit of zero is refused, because there is no design without a search."""
     if time_limit is not None and not time_limit > 0:
         raise InputError(where, f"time_limit is {time_limit}", "a positive time in s, or none")
@@ -190,6 +249,11 @@ def final_status(
         ended = f"work budget used up: a larger effort may find {smaller}"
     # A part of the search may have reported it already.
     return status, reason if not ended or ended in reason else f"{reason}; {ended}"
+
+
+def relative_loss(value: float, reference: float) -> float:
+    """Return ``value / reference - 1``; 0 for equal values, infinite where the reference is 0."""
+    return 0.0 if value == reference else value / reference - 1 if reference > 0 else np.inf
 
 
 def limiting_channels(loop: StateSpaceModel, omega: float) -> str:

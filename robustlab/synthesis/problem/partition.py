@@ -18,7 +18,7 @@ from robustlab.errors import InputError, error_context
 from robustlab.feedback import wired
 from robustlab.norms import bilinear_to_continuous
 from robustlab.signals import Taken, signal_positions
-from robustlab.statespace import Signal, StateSpaceModel, as_model, lower_lft
+from robustlab.statespace import Signal, StateSpaceModel, append, as_model, lower_lft
 from robustlab.uncertainty.blocks import Block, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 
@@ -112,12 +112,10 @@ class GeneralizedPlant(Displayable):
 
     @property
     def n_w(self) -> int:
-        """Number of disturbances w."""
         return self.model.n_inputs - self.n_con
 
     @property
     def n_z(self) -> int:
-        """Number of performance outputs z."""
         return self.model.n_outputs - self.n_meas
 
     @property
@@ -127,7 +125,6 @@ class GeneralizedPlant(Displayable):
 
     @property
     def controls(self) -> tuple[Signal, ...]:
-        """The control inputs u."""
         return self.model.inputs[self.n_w :]
 
     @property
@@ -138,6 +135,14 @@ class GeneralizedPlant(Displayable):
     def matrices(self) -> PlantMatrices:
         """Return the matrices without D22."""
         return PlantMatrices.of(Realisation.of(self.model), self.n_w, self.n_z)
+
+    def fitted(self, K: Any, where: str) -> StateSpaceModel:
+        """Return a controller with the plant's order and signs of signals; refuse one of another size."""
+        k = as_model(getattr(K, "K", K), where)
+        if (k.n_outputs, k.n_inputs) != (self.n_con, self.n_meas):
+            names = f"from {listed(s.name for s in self.measurements)} to {listed(s.name for s in self.controls)}"
+            raise InputError(where, f"K is {k.n_outputs} x {k.n_inputs}", f"{self.n_con} x {self.n_meas}: {names}")
+        return wired(k, self.measurements, self.controls, where)
 
     def close(self, K: StateSpaceModel) -> StateSpaceModel:
         """Return the closed loop from w to z for ``u = K y``; signals are matched by `robustlab.feedback.wired`."""
@@ -160,6 +165,13 @@ class GeneralizedPlant(Displayable):
             ("states", str(self.model.n_states)),
             ("blocks", listed(b.name for b in self.blocks)),
         ]
+
+
+def side_by_side(*models: StateSpaceModel) -> StateSpaceModel:
+    """Return the block-diagonal model of several whose signals may have equal names, without units."""
+    sides = [(i, range(m.n_inputs), range(m.n_outputs)) for i, m in enumerate(models)]
+    names = [([f"u{i}.{k}" for k in ins], [f"y{i}.{k}" for k in outs]) for i, ins, outs in sides]
+    return append(*(m.renamed(*own) for m, own in zip(models, names, strict=True)))
 
 
 def as_generalized_plant(P: Any, n_meas: int | None, n_con: int | None, where: str) -> GeneralizedPlant:
@@ -201,7 +213,7 @@ def generalized_plant(
     r"""Build a generalised plant from a model or an uncertain model, by signal names.
 
     Inputs are ordered perturbation, disturbances, controls; outputs perturbation, performance, measurements. An output
-    may be both performance and measurement; the measured copy is called ``<name> measured``.
+    may be both performance and measurement; the measured copy is called ``<name> measured``. Brezina 2010, eq. 10.15.
 
     Parameters
     ----------
@@ -210,7 +222,7 @@ def generalized_plant(
     measurements, controls
         Names of the measured outputs y and of the inputs u that the controller drives.
     disturbances, performance
-        Names of the inputs w and outputs z; all inputs except the controls, and all outputs, where left out.
+        Names of the inputs w and of the outputs z; all inputs except the controls, and all outputs, where left out.
 
     Returns
     -------
@@ -221,10 +233,6 @@ def generalized_plant(
     ------
     InputError
         Unknown names, or no measurement or control.
-
-    References
-    ----------
-    Brezina 2010, eq. 10.15.
     """
     if isinstance(model, UncertainModel):
         (q, p), m, blocks = model.delta_shape, model.M, model.blocks

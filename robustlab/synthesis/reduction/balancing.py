@@ -1,35 +1,26 @@
 r"""Balanced models and the methods of reduction: truncation, residualisation, Hankel norm, stochastic, coprime factors.
 
-Square-root balancing with any two positive semidefinite matrices in place of the Gramians (those of a weighted model,
-or of a closed loop):
+Square-root balancing with any two positive semidefinite matrices P, Q in place of the Gramians:
 
 .. math:: P = L_c L_c^T, \quad Q = L_o L_o^T, \quad L_o^T L_c = U \Sigma V^T, \quad
    T = L_c V \Sigma^{-1/2}, \quad T^{-1} = \Sigma^{-1/2} U^T L_o^T
 
-Stochastic balancing keeps the error small relative to the model's own gain, by
-:math:`\prod_{i > r} (1 + \mu_i) / (1 - \mu_i) - 1` with :math:`\mu_i^2 = \lambda_i(P X)`: P is the controllability
-Gramian of G, X the observability Gramian of the minimum-phase factor W of the power spectrum, and beta a floor of the
-gain, below which errors count absolutely:
+Stochastic balancing bounds the relative error by :math:`\prod_{i > r} (1 + \mu_i) / (1 - \mu_i) - 1` with
+:math:`\mu_i^2 = \lambda_i(P X)`, X the observability Gramian of the minimum-phase factor W of the power spectrum, and
+beta a floor of the gain (Desai, Pal, IEEE TAC 29, 1984; Green, IEEE TAC 33, 1988; Varga, Fasol 1993 for beta):
 
 .. math:: G G^\sim + \beta^2 I = W^\sim W, \quad R = D D^T + \beta^2 I, \quad B_W = P C^T + B D^T, \quad
    A^T X + X A + (C - B_W^T X)^T R^{-1} (C - B_W^T X) = 0
 
-Optimal Hankel-norm approximation is the all-pass dilation of balanced states. With
-:math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, :math:`\sigma = \sigma_{k+1}`, and A, B, C cut alike,
+Optimal Hankel-norm approximation is the all-pass dilation of balanced states (Glover, Int. J. Control 39, 1984,
+theorems 6.3 and 9.7), with :math:`\Sigma = \mathrm{diag}(\Sigma_1, \sigma I)`, and A, B, C cut alike:
 
 .. math:: U = -(C_2^T)^+ B_2, \quad \Gamma = \Sigma_1^2 - \sigma^2 I, \quad
    \hat A = \Gamma^{-1} (\sigma^2 A_{11}^T + \Sigma_1 A_{11} \Sigma_1 - \sigma C_1^T U B_1^T), \quad
    \hat B = \Gamma^{-1} (\Sigma_1 B_1 + \sigma C_1^T U), \quad \hat C = C_1 \Sigma_1 + \sigma U B_1^T, \quad
    \hat D = D - \sigma U
 
-differs from the model by no more than sigma at any frequency. Its k stable modes are the nearest model of order k in
-the Hankel norm, at a distance of exactly sigma; a constant replaces the others, which are not stable. U is a
-contraction, so models need not be square.
-
-References
-----------
-Glover, Int. J. Control 39 (1984), theorems 6.3 and 9.7; Desai, Pal, IEEE TAC 29 (1984); Green, "A relative error bound
-for balanced stochastic truncation", IEEE TAC 33 (1988); Varga, Fasol 1993 for beta.
+Its stable modes are the nearest model of their order; a constant replaces the others.
 """
 
 from __future__ import annotations

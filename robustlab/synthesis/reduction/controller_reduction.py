@@ -6,30 +6,28 @@ of K moves z: Anderson, Liu, "Controller reduction: concepts and approaches", IE
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from robustlab.arrays import AnyArray
-from robustlab.budget import MILLION, dense, one_thread
+from robustlab.budget import dense, one_thread
 from robustlab.checks import number, whole
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.feedback import wired
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.certify import Evidence, MeasureName, Performance, PerformanceMeasure, make_measure
-from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
+from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels, relative_loss
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
-WORK = 60 * MILLION  # the usual work at effort 1, in units of about a microsecond
 PATIENCE = 3  # orders tried after the first that loses too much: the loss is not monotone in the order
 GAIN = 1e-3  # smallest relative gain for which another candidate of the same order is proved
 
@@ -52,12 +50,9 @@ class OrderTried(AllFields):
 class ReducedController(Tabular, Synthesis):
     """A controller of lower order; ``gamma`` is the measure of the loop rebuilt from it, verified."""
 
-    quantities: ClassVar[Mapping[str, Any]] = {
-        **Synthesis.quantities, **dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float),
-    }  # fmt: skip
+    quantities = dict.fromkeys(("original_order", "original_gamma", "loss", "allowed_loss"), float)
     saved = (
-        *Synthesis.saved, "measure", "original_order", "original_gamma", "loss", "allowed_loss", "orders", "evidence",
-        "original",
+        "measure", "original_order", "original_gamma", "loss", "allowed_loss", "orders", "evidence", "original",
     )  # fmt: skip
 
     original: StateSpaceModel  # the controller that was reduced
@@ -70,13 +65,12 @@ class ReducedController(Tabular, Synthesis):
 
     @property
     def original_order(self) -> int:
-        """Number of states of the controller that was reduced."""
         return self.original.n_states
 
     @property
     def loss(self) -> float:
         """``gamma / original_gamma - 1``."""
-        return _loss(self.gamma, self.original_gamma)
+        return relative_loss(self.gamma, self.original_gamma)
 
     def facts(self) -> Facts:
         rows = super().facts()
@@ -90,7 +84,6 @@ class ReducedController(Tabular, Synthesis):
         ]
 
     def table(self) -> Table:
-        """Return a row for each order tried."""
         columns = {key: [getattr(tried, key) for tried in self.orders] for key in ("method", "value", "loss")}
         return Table(("order", [tried.order for tried in self.orders]), columns)
 
@@ -136,13 +129,8 @@ def reduce_controller(
         For ``"mu"``: perturbation blocks of the plant's first channels (those of the design or the plant where left
         out). J is the scaled norm with the scalings of a design (quick); where it has none, or they include G for real
         blocks, the mu analysis finds its own for every candidate (slow).
-    n_meas, n_con
-        Numbers of measurements and controls, where a plain plant is given.
-    time_limit, effort
-        s, checked between candidates, after which the lowest order verified by then is returned with status TIMEOUT;
-        multiple of the usual work, counted, not timed.
-    progress
-        Called with one line for each order.
+    n_meas, n_con, time_limit, effort, progress
+        As for `robustlab.hinf`; the lowest order verified by the time limit is returned.
 
     Returns
     -------
@@ -151,12 +139,10 @@ def reduce_controller(
 
     Raises
     ------
-    InputError
-        A K that does not fit, a negative loss, blocks that do not fit, a plant with disturbances but no performance
-        outputs or the other way round.
-    NoTrustworthyNumber
-        The loop with the full K is not stable (the message names the other sign of K if that helps), or its measure is
-        not trustworthy; or no controller of the requested ``order`` leaves the loop stable.
+    InputError, NoTrustworthyNumber
+        A K or blocks that do not fit, a negative loss, a plant with w but no z or the other way round. The loop with
+        the full K is not stable (the message names the other sign of K if that helps), or its measure is not
+        trustworthy; or no controller of the requested ``order`` leaves the loop stable.
     """
     if K is None and not isinstance(design_or_plant, Synthesis):
         raise InputError(WHERE, "K is missing", "a design, or a plant and its controller")
@@ -165,12 +151,10 @@ def reduce_controller(
         plant = as_generalized_plant(design_or_plant.plant, n_meas, n_con, WHERE)
     else:
         plant = as_generalized_plant(design_or_plant, n_meas or full.n_inputs, n_con or full.n_outputs, WHERE)
-    if (full.n_outputs, full.n_inputs) != (plant.n_con, plant.n_meas):
-        raise InputError(WHERE, f"K is {full.n_outputs} x {full.n_inputs}", f"{plant.n_con} x {plant.n_meas}")
-    full = wired(full, plant.measurements, plant.controls, WHERE)
+    full = plant.fitted(full, WHERE)
     plant = with_default_performance(plant, WHERE)
     number(f"{WHERE}: loss", loss, "a number >= 0 (0.01: one per cent)", at_least=0)
-    budget = design_budget(WHERE, WORK, effort, time_limit)
+    budget = design_budget(WHERE, effort, time_limit)
     if order is not None:
         whole(f"{WHERE}: order", order, 0, full.n_states)
     scalings = None
@@ -195,10 +179,6 @@ def _sign_hint(plant: GeneralizedPlant, K: StateSpaceModel) -> str:
     return f"{text}; with u = -K y the loop is stable: give -K" if turned.is_stable() else text
 
 
-def _loss(value: float, reference: float) -> float:
-    return 0.0 if value == reference else value / reference - 1 if reference > 0 else np.inf
-
-
 def _descended(
     judge: PerformanceMeasure, full: StateSpaceModel, allowed: float, order: int | None, report: Callable[[str], None]
 ) -> ReducedController:
@@ -206,9 +186,9 @@ def _descended(
     reference, budget, plant = judge.certified(full), judge.budget, judge.gramian_plant
     if not np.isfinite(reference.value) or not reference.status.trustworthy:
         reason = getattr(reference.evidence, "reason", "") or reference.doubt or reference.status
-        found = f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
+        text = f"the loop with the full controller has no trustworthy {judge.text} ({reason})"
         hint = None if judge.plant.close(full).is_stable() else _sign_hint(judge.plant, full)
-        raise NoTrustworthyNumber(WHERE, found, hint=hint)
+        raise NoTrustworthyNumber(WHERE, text, hint=hint)
     limit = np.inf if order is not None else (1 + allowed) * reference.value
     families, tried = _families(plant, full), list[OrderTried]()
     how, chosen, performance, failed = "", full, reference, 0
@@ -226,16 +206,16 @@ def _descended(
             report(f"order {n}: none stabilises the loop")
         else:
             method, K, proved = found
-            loss, enough = _loss(proved.value, reference.value), proved.value <= limit and proved.status.trustworthy
+            loss = relative_loss(proved.value, reference.value)
+            enough = proved.value <= limit and proved.status.trustworthy
             tried.append(OrderTried(K.n_states, method, proved.value, loss, proved.status))
             report(f"order {K.n_states}: {judge.name} {proved.value:.6g}, loss {100 * loss:.3g} % ({method})")
             if enough and order in (None, n):
                 how, chosen, performance = found
         failed = 0 if enough else failed + 1
     if order is not None and chosen is full and order < full.n_states:
-        ended = f" ({budget.remark})" if budget.remark else ""
-        found = f"no controller of order {order} could be verified{ended}"
-        raise NoTrustworthyNumber(WHERE, found, hint="a higher order")
+        text = f"no controller of order {order} could be verified{f' ({budget.remark})' if budget.remark else ''}"
+        raise NoTrustworthyNumber(WHERE, text, hint="a higher order")
     reason = f"{how}; loop rebuilt, {judge.text} proved anew" if how else "no lower order keeps the loss allowed"
     status, reason = final_status(performance.status, [reason], budget, "a lower order")
     loop = judge.plant.close(chosen)

@@ -24,6 +24,7 @@ from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, parallel, series
+from robustlab.synthesis.problem.partition import side_by_side
 from robustlab.synthesis.reduction.balancing import Way, Weights, lost_at_least_order, way_of
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import Reduction, reduction
@@ -72,7 +73,6 @@ class ReducedModel(Displayable):
 
     @cached_property
     def evidence(self) -> Evidence:
-        """The error with its proof."""
         return self.judge()
 
     @property
@@ -109,11 +109,9 @@ class ReducedModel(Displayable):
 
     @property
     def order(self) -> int:
-        """Number of states of the reduced model."""
         return self.model.n_states
 
     def to_model(self) -> StateSpaceModel:
-        """Return the reduced model."""
         return self.model
 
     def headline(self) -> str:
@@ -186,31 +184,31 @@ def reduce_model(
 
     No model of order r is nearer than :math:`\sigma_{r+1}`. Modes that are not stable are split off and kept, and the
     rounding of this is part of the error; uncontrollable or unobservable ones of them are removed (`minimal`). The
-    error is computed when it is first read.
+    error is computed when it is first read. Moore 1981; Glover 1984 (bound, Hankel norm); Liu, Anderson 1989
+    (residualisation); Green 1988 (stochastic); Enns 1984 (weights); Meyer 1990 (coprime factors); Zhou, Doyle, Glover
+    1996, chapters 7 and 8.
 
     Of an uncertain model the repetitions of its blocks are reduced, exactly: uncontrollable and unobservable ones are
-    removed, of all blocks jointly, until none is left (`UncertainModel.reduce` returns the set alone).
+    removed, of all blocks jointly, until none is left (D'Andrea, Khatri 1997).
 
     Parameters
     ----------
     model
         StateSpaceModel, controller or python-control object with n states; continuous or discrete, stable or not. Or an
         UncertainModel, with ``tolerance`` alone.
-    order
-        Number of states of the result, those kept apart included; fewer where the rest is not minimal.
-    tolerance
-        In place of ``order``: the lowest order whose certified error is at most this (all minimal states where none
-        is), in output units per input unit. Of an uncertain model: singular values below ``tolerance`` times the
-        largest count as zero, 1e-12 where left out.
+    order, tolerance
+        Number of states of the result, those kept apart included; fewer where the rest is not minimal. Or the lowest
+        order whose certified error is at most the tolerance (all minimal states where none is), in output units per
+        input unit. Of an uncertain model: singular values below ``tolerance`` times the largest count as zero (1e-12).
     method
         ``"truncation"`` is exact at infinite frequency, ``"residualisation"`` (singular perturbation) at zero
-        frequency. ``"hankel"`` (Glover) is nearest in the Hankel norm, with a direct term that halves the bound.
-        ``"stochastic"`` keeps the error small where the gain of the stable part is small.
-        ``"coprime"`` reduces modes of any stability, through the normalised right coprime factors
-        :math:`G = N M^{-1}`, whose error is then the H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap).
+        frequency. ``"hankel"`` is nearest in the Hankel norm, with a direct term that halves the bound.
+        ``"stochastic"`` keeps the error small where the gain of the stable part is small. ``"coprime"`` reduces modes
+        of any stability, through the normalised right coprime factors :math:`G = N M^{-1}`; the error is then the
+        H-infinity norm of ``[N - N_r; M - M_r]`` (a bound of the gap).
     input_weight, output_weight
-        Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs): one or both
-        (Enns), the error is that of ``W_o (G - G_r) W_i``. Large where the error shall be small.
+        Stable models W_i (as many outputs as G has inputs) and W_o (as many inputs as G has outputs), one or both: the
+        error is that of ``W_o (G - G_r) W_i``. Large where the error shall be small.
     floor
         beta of ``"stochastic"``, in output units per input unit: below this gain errors count absolutely. Required
         where the gain vanishes: without full row rank of D, with more outputs than inputs, with zeros on the axis.
@@ -224,18 +222,10 @@ def reduce_model(
 
     Raises
     ------
-    InputError
-        Neither or both of order and tolerance, an order that does not exist, weights that do not fit, a gain
-        that vanishes at infinite frequency for ``"stochastic"`` without a floor.
-    NoTrustworthyNumber
-        Gramians lost their digits; the reduced model is not stable (two weights give no guarantee), or not
-        well posed; the gain vanishes at some frequency.
-
-    References
-    ----------
-    Moore 1981; Glover 1984 (bound, Hankel norm); Liu, Anderson 1989 (residualisation); Green 1988 (stochastic); Enns
-    1984 (weights); Meyer 1990 (coprime factors); Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), chapters 7
-    and 8. Uncertain models: D'Andrea, Khatri 1997.
+    InputError, NoTrustworthyNumber
+        Neither or both of order and tolerance, an order that does not exist, weights that do not fit, a gain that
+        vanishes at infinite frequency for ``"stochastic"`` without a floor. Gramians lost their digits; the reduced
+        model is not stable (two weights give no guarantee), or not well posed; the gain vanishes at some frequency.
 
     Examples
     --------
@@ -293,9 +283,7 @@ def _weight(full: StateSpaceModel, name: str, given: Any) -> StateSpaceModel | N
         return None
     where, into = f"reduce_model: {name}", name == "input_weight"
     w, size = as_model(given, where), full.n_inputs if into else full.n_outputs
-    # a scalar weight is meant for every channel
-    each = np.eye(size if (w.n_outputs, w.n_inputs) == (1, 1) else 1)
-    w = StateSpaceModel(*(np.kron(each, X) for X in (w.A, w.B, w.C, w.D)), w.dt)
+    w = side_by_side(*[w] * (size if (w.n_outputs, w.n_inputs) == (1, 1) else 1))  # a scalar one is for every channel
     if (has := w.n_outputs if into else w.n_inputs) != size:
         raise InputError(where, f"{has} {'outputs' if into else 'inputs'}", f"{size}")
     if w.n_states and not w.is_stable():
@@ -341,7 +329,7 @@ def _judged(way: Way, small: StateSpaceModel) -> Evidence:
 
 @error_context("minimal")
 def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
-    r"""Remove the modes that no input moves or no output shows, unstable and integrating ones too.
+    """Remove the modes that no input moves or no output shows, unstable and integrating ones too.
 
     The controllable subspace is built by orthogonal steps, ``range(B), A range(B), ...``, in states and signals scaled
     independently of units, then the observable one of the result. The states kept are a subset of those given, or
@@ -368,11 +356,9 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
 
     Examples
     --------
-    Two copies of an integrator, one behind a lag; the input moves their difference by the lag alone:
-
     >>> from robustlab.realisations import ss
     >>> G = ss([[0, 0, 0], [0, -1, 0], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]])
-    >>> found = minimal(G)
+    >>> found = minimal(G)  # two integrators, one behind a lag; the input moves their difference by the lag alone
     >>> found.order, found.error.upper, found.removed
     (2, 0.0, ('unstable mode 0 rad/s in x1, x2, x3: no input moves it',))
     """

@@ -22,6 +22,7 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
+from robustlab.synthesis.structures.laws import unpacked
 from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.
@@ -48,7 +49,6 @@ class SchedulingParameter:
 
     @property
     def words(self) -> str:
-        """Range, points and rate as text."""
         low, high = number(self.points[0]), number(self.points[-1], self.unit)
         rate = "any rate" if np.isinf(self.rate) else f"rate <= {number(self.rate, f'{self.unit or 1}/s')}"
         return f"{self.name} = {low} .. {high} ({len(self.points)} points, {rate})"
@@ -66,10 +66,9 @@ class LPVModel(Behaviour, Displayable, Traced):
 
     Parameters
     ----------
-    points
-        Name of each parameter -> its values, ascending. Two values each give a polytopic model.
-    models
-        List of the models at all points, the last parameter varying fastest.
+    points, models
+        Name of each parameter -> its values, ascending (two values each give a polytopic model); list of the models at
+        all points, the last parameter varying fastest.
     rates, units
         Name -> bound of ``|d rho/dt|`` (default: infinite), and unit of the parameter.
     deviation, known
@@ -156,7 +155,6 @@ class LPVModel(Behaviour, Displayable, Traced):
         return made
 
     def changed(self, **fields: Any) -> LPVModel:
-        """Return the model with these fields replaced."""
         return LPVModel.of(**({name: getattr(self, name) for name in type(self).__dataclass_fields__} | fields))
 
     @property
@@ -166,13 +164,11 @@ class LPVModel(Behaviour, Displayable, Traced):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
         return tuple(p.name for p in self.parameters)
 
     def model_of(self, matrix: Array) -> StateSpaceModel:
         """Return a matrix ``[A B; C D]`` as a model with the names of this one."""
-        n = self.n_states
-        parts = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
+        parts = unpacked(matrix, self.n_states)
         return StateSpaceModel(*parts, 0.0, self.inputs, self.outputs, self.states, where="LPVModel")
 
     def nodes(self) -> Iterator[tuple[dict[str, float], StateSpaceModel]]:
@@ -332,11 +328,9 @@ def lpv_model(
     points
         Name -> ascending values, or a number of equidistant values (2, the default of a set: the ends). A function
         requires values for all parameters.
-    rates, units
-        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second (default: infinite), and unit.
-    samples
-        For a function: number of points, the middles of the cells and random ones, at which the interpolation error is
-        computed.
+    rates, units, samples
+        Name -> bound of ``|d rho/dt|`` in the parameter's unit per second (default: infinite), and unit. Number of
+        middles of cells and random points at which the interpolation error of a function is computed.
 
     Returns
     -------
@@ -346,10 +340,9 @@ def lpv_model(
 
     Raises
     ------
-    InputError
-        Blocks other than real parameters, unknown names, values outside the ranges, a discrete model.
-    NoTrustworthyNumber
-        Cells too wide for a proved error: more points are required.
+    InputError, NoTrustworthyNumber
+        Blocks other than real parameters, unknown names, values outside the ranges, a discrete model. Cells too wide
+        for a proved error: more points are required.
 
     Examples
     --------
@@ -420,8 +413,8 @@ def _proved_deviation(source: Any, entries: Sequence[Array]) -> Array:
         at = np.abs(np.linalg.inv(np.eye(p) - inner @ middle))
         loop = size @ radius @ at
         if loop.size and not np.abs(np.linalg.eigvals(loop)).max() < 1 - 1e-6:
-            found = "a cell so wide that the set may not be well posed in it"
-            raise NoTrustworthyNumber("lpv_model", found, None, "give more points")
+            text = "a cell so wide that the set may not be well posed in it"
+            raise NoTrustworthyNumber("lpv_model", text, None, "give more points")
         W = at @ np.linalg.inv(np.eye(p) - loop)
         back = np.abs(np.linalg.inv(np.eye(q) - middle @ inner))
         V = np.linalg.inv(np.eye(q) - back @ radius @ size) @ back

@@ -1,12 +1,8 @@
-"""`lpv_gain`: a proved bound of the induced L2 gain of an LPV model, for all trajectories of its parameters.
+"""Gain scheduling: proved bounds of the induced L2 gain of an LPV model, and scheduled H-infinity controllers.
 
-A solver computes P at the points of the grid (Wu, Yang, Packard, Becker 1996), and ball arithmetic proves it:
-`robustlab.verification.parameters` has the theorem and its Bernstein coefficients.
-
-`hinf` of an LPV model: controllers scheduled by measured parameters, their loops verified by `lpv_gain`.
-
-Projection LMIs with shared R and S give a controller for each grid point, interpolated between them (Apkarian, Gahinet,
-Becker 1995). The result is proved for the loop rebuilt from plant and controller, independently of the LMIs.
+`lpv_gain`: a solver computes P at the points of the grid (Wu, Yang, Packard, Becker 1996), and ball arithmetic proves
+it; `robustlab.verification.parameters` has the theorem. `scheduled_hinf`: projection LMIs with shared R and S give a
+controller for each point (Apkarian, Gahinet, Becker 1995); the loop rebuilt from it is proved by `lpv_gain`.
 """
 
 from __future__ import annotations
@@ -34,6 +30,7 @@ from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
 from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, Scaling, dual, paths_first
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, SAMPLED, LPVController, LPVModel
+from robustlab.synthesis.structures.laws import unpacked
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 
@@ -98,7 +95,6 @@ class LPVGain(PeakGain, Traced):
         return [gain_claim(self.model, self.P, self.upper)] if proved else []
 
     def bounds(self) -> str:
-        """Return the bracket with the origin of each side."""
         upper = f"{number(self.upper, digits=6)} (proved)" if np.isfinite(self.upper) else "no bound proved"
         frozen = f"{number(self.lower, digits=6)} (frozen, attained)"
         return self.unstable if np.isinf(self.lower) else f"{frozen} .. {upper}"
@@ -109,7 +105,6 @@ class LPVGain(PeakGain, Traced):
         return f"{values}, {number(self.frequency, 'rad/s')}" if np.isfinite(self.lower) else ""
 
     def evidence(self) -> Facts:
-        """Return the scope and the method of the proof."""
         return [("holds", self.scope), ("Lyapunov function", self.lyapunov), ("how", self.reason)]
 
     def to_json(self) -> dict[str, Any]:
@@ -118,12 +113,7 @@ class LPVGain(PeakGain, Traced):
 
 @error_context("lpv_gain")
 def lpv_gain(
-    model: LPVModel,
-    lyapunov: Lyapunov | None = None,
-    *,
-    effort: float = 1.0,
-    time_limit: float | None = None,
-    progress: Callable[[str], None] | None = None,
+    model: LPVModel, lyapunov: Lyapunov | None = None, effort: float = 1.0, time_limit: float | None = None
 ) -> LPVGain:
     r"""`robustlab.peak_gain` of an LPV model, by a Lyapunov function :math:`x^T P(\rho) x`."""
     if not model.inputs or not model.outputs:
@@ -136,7 +126,7 @@ def lpv_gain(
         raise InputError("lpv_gain: lyapunov", f"{lyapunov!r}", "'constant' or 'varying'")
     budget = search_budget("lpv_gain", WORK, effort, time_limit)
     with one_thread():
-        return gain_from(model, lyapunov, budget, progress or (lambda _: None))
+        return gain_from(model, lyapunov, budget, lambda _: None)
 
 
 def gain_from(
@@ -598,8 +588,7 @@ def _reconstructed(p: PlantMatrices, X: Array, gamma: float, budget: Budget) -> 
     inside = -(unit @ whole(open_loop + left @ K @ right) @ unit) - margin * np.eye(len(unit)) >> 0
     if least(-margin, [inside], budget):
         return None
-    found = np.asarray(K.value)
-    return Realisation(found[:n, :n], found[:n, n:], found[n:, :n], found[n:, n:])
+    return Realisation(*unpacked(np.asarray(K.value), n))
 
 
 def _plant_matrices(plant: LPVModel, n_meas: int, n_con: int) -> list[PlantMatrices]:
@@ -615,10 +604,7 @@ def _plant_matrices(plant: LPVModel, n_meas: int, n_con: int) -> list[PlantMatri
     if m[:, n + n_z :, n + n_w :].any() or plant.deviation[..., n + n_z :, n + n_w :].any():
         hint = "put a fast lag between controls and measurements"
         raise InputError("hinf", "a direct term from the controls to the measurements (D22)", "D22 = 0", hint)
-    rows = slice(None, n), slice(n, n + n_z), slice(n + n_z, None)
-    cols = slice(None, n), slice(n, n + n_w), slice(n + n_w, None)
-    order = ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0), (1, 1), (1, 2), (2, 1))
-    return [PlantMatrices(*(np.array(one[rows[i], cols[j]]) for i, j in order)) for one in m]
+    return [PlantMatrices.of(Realisation.of(plant.model_of(one)), n_w, n_z) for one in m]
 
 
 def closed_loop(plant: LPVModel, law: LPVModel) -> LPVModel:

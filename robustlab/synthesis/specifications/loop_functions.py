@@ -31,7 +31,6 @@ class LoopFunctions(Displayable):
     .. math:: S: r \to r - y, \quad T: r \to y, \quad K S: r \to u, \quad S G: d \to y, \qquad S + T = I
 
     for a reference r on the measured output and a disturbance d on the plant's input.
-
     """
 
     S: StateSpaceModel  # sensitivity

@@ -23,12 +23,12 @@ from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.display import Displayable, Facts, listed, number
 from robustlab.errors import InputError, did_you_mean
-from robustlab.feedback import SIGNS, Sign, closing, wired
+from robustlab.feedback import SIGNS, Sign, closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.signals import Signal, Taken
-from robustlab.statespace import StateSpaceModel, append, as_model, lower_lft, series
-from robustlab.synthesis.problem.partition import GeneralizedPlant, signal_positions
-from robustlab.synthesis.specifications.weight_design import in_time_of_plant
+from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
+from robustlab.synthesis.problem.partition import GeneralizedPlant, side_by_side, signal_positions
+from robustlab.synthesis.specifications.weight_design import stable_weight, weight_on_channels
 from robustlab.uncertainty.lft import UncertainModel
 
 Sizes = float | Mapping[str, float]
@@ -197,7 +197,7 @@ class TrackingProblem(Displayable):
 
     def close(self, K: Any) -> UncertainModel:
         """Return the weighted loop under ``u = K v`` as an uncertain model from (r, d, n) to z."""
-        return UncertainModel(lower_lft(self.uncertain.M, self._checked(K)), self.uncertain.blocks)
+        return UncertainModel(lower_lft(self.uncertain.M, self.plant.fitted(K, "controller")), self.uncertain.blocks)
 
     def gains(self, K: Any, omega: ArrayLike) -> dict[str, Array]:
         """Return the largest singular values of S, K S, T of the nominal loop at ``omega`` in rad/s, (n_omega,)."""
@@ -211,14 +211,6 @@ class TrackingProblem(Displayable):
         """Return the bounds ``1 / |W F|`` of the functions of `gains` that have a weight."""
         shaped = {name: series(self.shape, self.weights[w]) for name, w in FUNCTIONS.items() if w in self.weights}
         return {name: 1 / np.abs(frequency_response(weight, omega)[:, 0, 0]) for name, weight in shaped.items()}
-
-    def _checked(self, K: Any) -> StateSpaceModel:
-        model = as_model(K, "controller")
-        if (model.n_inputs, model.n_outputs) != (self.n_meas, self.n_con):
-            found = f"{model.n_inputs} inputs and {model.n_outputs} outputs"
-            names = ", ".join(s.name for s in self.plant.measurements)
-            raise InputError("controller", found, f"{self.n_meas} inputs ({names}) and {self.n_con} outputs")
-        return wired(model, self.plant.measurements, self.plant.controls, "controller")
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,18 +306,18 @@ def _built(
         "W3": ("output", follow, share * C[y_c], share * T[y_c]),
     }
     one, rows = _shape(None, M.dt), [(C[:p], T[:p])]
-    filters, outputs, states = [_each(one, p, "z")], [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
+    filters, outputs, states = [one] * p, [Signal(s.name, s.unit) for s in M.outputs[:p]], [*M.states]
     for name, weight in weights.items():
         word, part, *row = weighted[name]
         rows.append((row[0], row[1]))
-        filters.append(_each(weight, len(part), name))
+        filters += [weight] * len(part)
         outputs += [Signal(f"{name} {word}: {s.name}") for s in part]
         states += [Signal(f"{name} {s.name} x{i + 1}") for s in part for i in range(weight.n_states)]
     rows += [(none, size_r[:, None] * r + noisy[:n_r]), (C[y_m], T[y_m] + noisy[n_r:])]
     out, direct = (np.vstack(part) for part in zip(*rows, strict=True))
-    before = append(_each(one, q, "w"), _each(shape, n_r, "F"), _each(one, sum(counts) - q - n_r, "d"))
+    before = side_by_side(*[one] * q, *[shape] * n_r, *[one] * (sum(counts) - q - n_r))
     bare = StateSpaceModel(M.A, M.B @ into, out, direct, M.dt)
-    joined = series(series(before, bare), append(*filters, _each(one, n_r + len(seen), "v")))
+    joined = series(series(before, bare), side_by_side(*filters, *[one] * (n_r + len(seen))))
     states = [*(Signal(f"{s.name}_ref x{i + 1}") for s in follow for i in range(shape.n_states)), *states]
     outputs += [*(Taken(f"{s.name}_ref", s.unit, "r", s.name) for s in follow), *(Taken(*s) for s in seen)]
     matrices, where = (joined.A, joined.B, joined.C, joined.D), "tracking problem"
@@ -336,13 +328,6 @@ def _placed(some: Iterable[str], names: Sequence[str]) -> Array:
     """Return the selection matrix of some signals among these names, shape (n_names, n_some)."""
     some = list(some)
     return np.array([[float(name == one) for one in some] for name in names]).reshape(len(names), len(some))
-
-
-def _each(one: StateSpaceModel, count: int, name: str) -> StateSpaceModel:
-    """Return a model of one channel on each of some channels."""
-    A, B, C, D = (np.kron(np.eye(count), X) for X in (one.A, one.B, one.C, one.D))
-    into, out = ([f"{name} {word} {k}" for k in range(count)] for word in ("into", "out"))
-    return StateSpaceModel(A, B, C, D, one.dt, into, out)
 
 
 def _shape(bandwidth: float | None, dt: float) -> StateSpaceModel:
@@ -387,15 +372,10 @@ def _sizes(what: str, given: Sizes | None, known: Sequence[Signal], whole: bool 
 
 def _weight(given: Any, where: str, dt: float) -> StateSpaceModel:
     """Return a stable weight of one channel in the plant's time."""
-    if isinstance(given, (int, float)) and not isinstance(given, bool):
-        return StateSpaceModel([], [], [], [[given]], dt, where=where)
-    w = in_time_of_plant(as_model(given, where), dt, where)
+    w = weight_on_channels(given, 1, dt, where)
     if (w.n_inputs, w.n_outputs) != (1, 1):
         raise InputError(where, f"{w.n_inputs} inputs and {w.n_outputs} outputs", "one of each")
-    if not w.is_stable():
-        found = f"spectral abscissa is {w.spectral_abscissa():.3g}"
-        raise InputError(where, found, "a stable weight", "make an integrator a slow lag: error > 0")
-    return w
+    return stable_weight(w, 1, dt, where)
 
 
 def _in_words(sizes: Mapping[str, float], signals: Sequence[Signal]) -> str:

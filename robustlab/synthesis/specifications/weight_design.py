@@ -5,12 +5,14 @@ Skogestad, Postlethwaite, *Multivariable Feedback Control*, 2005, section 2.8.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from robustlab.checks import number, whole
 from robustlab.errors import InputError, error_context
 from robustlab.norms import bilinear_to_discrete
-from robustlab.statespace import StateSpaceModel, series
+from robustlab.statespace import StateSpaceModel, append, as_model, series
 
 
 @error_context("performance_weight")
@@ -142,11 +144,9 @@ def makeweight(
 
     Parameters
     ----------
-    low_gain, high_gain
-        l and h, positive; of a discrete weight h is the gain at the Nyquist frequency.
-    through
-        ``omega_c``, the frequency in rad/s at which the gain is 1, or ``(omega_c, c)`` for the gain c there, between
-        the other two.
+    low_gain, through, high_gain
+        l and h, positive; of a discrete weight h is the gain at the Nyquist frequency. ``omega_c``, the frequency in
+        rad/s at which the gain is 1, or ``(omega_c, c)`` for the gain c there, between the other two.
     dt, order
         Sample time in s of a discrete weight (Tustin's rule, exact at omega_c), 0 for a continuous one; k: slope of the
         weight in units of 20 dB a decade, and number of states.
@@ -209,3 +209,38 @@ def _positive(where: str, order: int = 1, **numbers: float) -> None:
     for name, value in numbers.items():
         number(f"{where}: {name}", value, "a positive number", above=0)
     whole(f"{where}: order", order, 1, 10)
+
+
+# --- given weights ----------------------------------------------------------------------------------------------------
+
+
+def stable_weight(given: Any, n: int, dt: float, where: str, hint: str | None = None) -> StateSpaceModel:
+    """Return the weight as a stable model with n inputs, in the plant's time."""
+    weight = weight_on_channels(given, n, dt, where, hint)
+    if not weight.is_stable():
+        hint = "no controller can move a weight's pole; make an integrator a slow lag: s + omega_B * A instead of s"
+        raise InputError(where, f"spectral abscissa is {weight.spectral_abscissa():.3g}", "a stable weight", hint)
+    if weight.n_inputs != n:
+        raise InputError(where, f"{weight.n_inputs} inputs", f"{n}, or one input and one output")
+    return weight
+
+
+def weight_on_channels(given: Any, n: int, dt: float, where: str, hint: str | None = None) -> StateSpaceModel:
+    """Return a weight (a number, a matrix or a model) in the plant's time; one of one channel is used on all n."""
+    if isinstance(given, (int, float, list, tuple, np.ndarray, np.number)):
+        try:
+            gain = np.atleast_2d(given)
+            if gain.dtype.kind in "bc":
+                raise InputError(where, f"{gain.dtype} numbers", "a model or real numbers", hint)
+            gain = gain.astype(float)
+        except (TypeError, ValueError):
+            raise InputError(where, f"a {type(given).__name__} that is no matrix", "a model or numbers", hint) from None
+        given = StateSpaceModel([], [], [], gain, where=where)
+    weight = as_model(given, where)
+    if not weight.n_states and weight.dt != dt:
+        weight = StateSpaceModel(weight.A, weight.B, weight.C, weight.D, dt)
+    if weight.dt != dt:
+        raise InputError(where, f"dt is {weight.dt:g} s", f"{dt:g} s, as the plant")
+    if n > 1 and (weight.n_inputs, weight.n_outputs) == (1, 1):
+        weight = append(*(weight.renamed([f"u{i}"], [f"y{i}"]) for i in range(n)))
+    return weight

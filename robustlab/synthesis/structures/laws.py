@@ -204,13 +204,10 @@ class MultichannelPID(Structure):
     m_{ref} - m`, as `robustlab.dynamics.control.platform.two_layer`; continuous time.
     """
 
-    layout: str = "pid"  #: See above
-    #: Form of Kp, Ki, Kd: ``"full"``, ``"diagonal"``, ``"scalar"`` (the same for all channels), or a boolean mask
-    #: (n_con, n_meas of one group)
-    gains: Any = "full"
-    terms: str = "PID"  #: Of ``layout="pid"``: the terms among P, I, D
-    #: Time constant of the derivative filters in s: a number, or ``(low, high)`` to optimise it; required with D
-    tau: Any = None
+    layout: str = "pid"
+    gains: Any = "full"  # form of Kp, Ki, Kd, also "diagonal", "scalar" (one for all channels), or a boolean mask
+    terms: str = "PID"  # of layout "pid": those among P, I, D
+    tau: Any = None  # of the derivative filters in s, required with D: a number, or (low, high) to optimise it
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         if choice(f"{WHERE}: layout", self.layout, ("pid", "ipd", "two-layer")) == "pid":

