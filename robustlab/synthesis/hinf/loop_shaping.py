@@ -305,23 +305,3 @@ def _named_channels(loop: StateSpaceModel, shaped: StateSpaceModel) -> StateSpac
         [*(f"noise on shaped {y}" for y in ys), *(f"disturbance on shaped {u}" for u in us)],
         [*(f"shaped {y}" for y in ys), *(f"shaped {u}" for u in us)],
     )
-
-
-def _bare(model: StateSpaceModel) -> StateSpaceModel:
-    """Return the model without units, which weights change."""
-    return model.renamed(list(model.input_names), list(model.output_names))
-
-
-def _weight(given: Any, g: StateSpaceModel, name: str) -> StateSpaceModel:
-    """Return the weight on all channels, in the plant's time and with the plant's names on the plant's side."""
-    where, first = f"synth ncf: {name}", name == "W1"
-    names = list(g.input_names if first else g.output_names)
-    n = len(names)
-    w = weight_on_channels(np.eye(n) if given is None else given, n, g.dt, where)
-    meets = w.n_outputs if first else w.n_inputs
-    if meets != n:
-        side = "outputs" if first else "inputs"
-        raise InputError(where, f"{meets} {side}", f"{n}, or one input and one output")
-    far = w.n_inputs if first else w.n_outputs
-    free = names if far == n else [f"{name} {i + 1}" for i in range(far)]
-    return w.renamed(free if first else names, names if first else free)
