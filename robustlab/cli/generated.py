@@ -188,7 +188,7 @@ def answer(
             from robustlab.report.drawings import pictures_of
 
             report("figures")
-            results = (one.result, *one.beside.values())
+            results = (one.result, *one.extras.values())
             drawn = save_figures({name: p for result in results for name, p in pictures_of(result, note)}, figure)
             note("\n".join(f"written: {file}" for file in drawn) or "nothing to draw")
             written += drawn
@@ -201,7 +201,7 @@ def answer(
         raise typer.Exit(EXIT_INTERRUPTED)
     if hasattr(one.result, "require"):
         one.result.require()
-    for result in (one.result, *one.beside.values()):
+    for result in (one.result, *one.extras.values()):
         for status in getattr(result, "statuses", [getattr(result, "status", None)]):
             if status is not None and not status.trustworthy:
                 raise typer.Exit(NoTrustworthyNumber.exit_code)
@@ -212,11 +212,11 @@ def answer(
 def _text(one: InLoop) -> str:
     """Return the loop, the result's report, the requested tables and the additional results as text."""
     tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
-    beside = [
+    extras = [
         f"{name}  {found}" if isinstance(found, str) else found.report()
-        for name, found in one.beside.items() if isinstance(found, str) or (hasattr(found, "facts") and found.facts())
+        for name, found in one.extras.items() if isinstance(found, str) or (hasattr(found, "facts") and found.facts())
     ]  # fmt: skip
-    return "\n\n".join([*([f"loop  {one.loop}"] if one.loop else []), one.result.report(), *tables, *beside])
+    return "\n\n".join([*([f"loop  {one.loop}"] if one.loop else []), one.result.report(), *tables, *extras])
 
 
 def _json(one: InLoop) -> Mapping[str, Any]:
@@ -224,10 +224,10 @@ def _json(one: InLoop) -> Mapping[str, Any]:
     result = one.result
     without = {"series": False} if "series" in signature(result.to_json).parameters else {}
     plain = (str, int, float)
-    beside = {
-        name: found for name, found in one.beside.items() if isinstance(found, plain) or hasattr(found, "to_json")
+    extras = {
+        name: found for name, found in one.extras.items() if isinstance(found, plain) or hasattr(found, "to_json")
     }
-    return {**result.to_json(**without), **beside, **({"loop": one.loop} if one.loop else {})}
+    return {**result.to_json(**without), **extras, **({"loop": one.loop} if one.loop else {})}
 
 
 def _values(chosen: Operation, given: Mapping[str, Any], shared: Mapping[str, Any], files: list[str]) -> dict[str, Any]:
@@ -278,8 +278,8 @@ def _read(p: Parameter, given: Any, shared: Mapping[str, Any], files: list[str],
         option = p.options[0]
         raise UsageError(f"--set {reading['settings'][0]}", f"no {option}", f"{option} PLANT with it")
     if isinstance(kind, RecordFile):
-        beside = next((v for v in found.values() if hasattr(v, "outputs")), None)
-        records = [_read_named(reading, beside, name, files, kind.remarks) for name in names]
+        extras = next((v for v in found.values() if hasattr(v, "outputs")), None)
+        records = [_read_named(reading, extras, name, files, kind.remarks) for name in names]
         return (records or None) if kind.many else records[0] if records else None
     files += [name for name in names if Path(name).is_file()]
     if (kind.reading == "plant" or "plant" in kind.gives) and any(map(runs_code, names)):

@@ -111,7 +111,7 @@ def _of_a_parameter(degree: int | None, powers: int, more: bool, affine: bool, o
     """Return the origin of a parameter's block in words; ``off``: error of the set against the plant's models."""
     if degree is None:
         power = "first-order effect" if powers == 1 else f"effect up to order {powers}"
-        left = f"the rest stands in {REMAINDER}" if more else "nothing is left at the samples"
+        left = f"the rest is in {REMAINDER}" if more else "nothing is left at the samples"
         return f"{SAMPLED}: its {power}, {left}; "
     kind = "affine" if degree == 1 else f"of degree {degree}"
     least = ", repeated as often as its rank asks" if affine else ""

@@ -28,7 +28,7 @@ class Parameter:
     name: str  # symbol, for example "Kf"
     value: float  # nominal, in ``unit`` (SI)
     unit: str = ""
-    # Relative: the true value lies within ``value (1 - tolerance) .. value (1 + tolerance)``; 0: exact. Absolute in
+    # Relative: the true value is within ``value (1 - tolerance) .. value (1 + tolerance)``; 0: exact. Absolute in
     # ``unit`` for a value of 0.
     tolerance: float = 0.0
     source: str = ""  # where the value was published

@@ -134,10 +134,10 @@ def _run(path: Path, label: str) -> tuple[types.ModuleType, dict[str, str]]:
         file, package = Path(getattr(sys.modules[name], "__file__", None) or where.root), name.partition(".")[0]
         if package == "robustlab" or not file.is_relative_to(where.parent):
             continue
-        beside = file.relative_to(where.parent)
-        if beside.parts[0].removesuffix(".py") == package:  # not a package of an environment in the folder
+        relative = file.relative_to(where.parent)
+        if relative.parts[0].removesuffix(".py") == package:  # not a package of an environment in the folder
             _neighbours[name] = sys.modules[name]
-            hashes[(Path(label).parent / beside).as_posix()] = file_sha256(file)
+            hashes[(Path(label).parent / relative).as_posix()] = file_sha256(file)
     return module, hashes
 
 
@@ -168,7 +168,7 @@ def _user_error(error: Exception, place: str) -> RobustlabError:
     package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if package in EXTRAS:
         return DependencyMissing(place, f"needs {package}", None, f"pip install 'robustlab[{EXTRAS[package]}]'")
-    hint = f"install it, or put {package}.py beside the file" if package else None
+    hint = f"install it, or put {package}.py into the folder of the file" if package else None
     return InputError(place, f"{type(error).__name__}: {text}".removesuffix(": "), None, hint)
 
 

@@ -59,7 +59,7 @@ def require_file(path: str | Path, limits: Limits | None = None) -> bytes:
     try:
         state = path.stat()
         if stat.S_ISDIR(state.st_mode):
-            raise InputError(where, "is a directory", "a file")  # noqa: TRY301  beside what the system refuses
+            raise InputError(where, "is a directory", "a file")  # noqa: TRY301  treated like refusals of the system
         if not stat.S_ISREG(state.st_mode):
             raise InputError(where, "is not a regular file (a device, a pipe or a socket)", "a file")  # noqa: TRY301
         with path.open("rb") as stream:

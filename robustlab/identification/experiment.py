@@ -269,7 +269,7 @@ def _predicted(problem: Problem, fit: Fit, trial: _Trial, columns: Sequence[int]
     made = replace(
         first, record=record, u=trial.u, y=np.zeros((n, len(columns))), columns=tuple(columns),
         windows=Windows(starts, length), x0=x[starts].copy(), x0_std=np.tile(start_std, (len(starts), 1)),
-        smoothed=replace(first.smoothed, x=x), told=parts, constant=np.zeros_like(parts),
+        smoothed=replace(first.smoothed, x=x), state_shares=parts, constant=np.zeros_like(parts),
         resolution=np.zeros(len(columns)),
     )  # fmt: skip
     there = problem.on([made])
@@ -280,8 +280,10 @@ def _shares_of_outputs(problem: Problem) -> dict[int, Array]:
     """Fit for each measured output the matrix M with which x M is its share in the smoothed states x."""
     found = {}
     for j, column in enumerate(problem.records[0].columns):
-        own = [r for r in problem.records if r.told[j].any()]  # those that have this sensor
-        x, share = (np.concatenate(part) for part in zip(*((r.smoothed.x, r.told[j]) for r in own), strict=True))
+        own = [r for r in problem.records if r.state_shares[j].any()]  # those that have this sensor
+        x, share = (
+            np.concatenate(part) for part in zip(*((r.smoothed.x, r.state_shares[j]) for r in own), strict=True)
+        )
         size = np.maximum(np.abs(x).max(axis=0), 1e-300)
         found[column] = np.linalg.lstsq(x / size, share, rcond=None)[0] / size[:, None]
     return found

@@ -18,7 +18,7 @@ def bilinear_to_continuous(model: StateSpaceModel) -> StateSpaceModel:
     """Return the continuous model ``G_c(s) = G(z)`` under ``s = (2/dt)(z - 1)/(z + 1)``, of the same norm."""
     t, m, one, a = *_in_balanced_states(model), np.eye(model.n_states), 2 / model.dt
     if model.n_states and float(np.abs(np.linalg.eigvals(m)).max()) > OUTSIDE:
-        found = f"a pole of modulus above {OUTSIDE:g}: the map cannot tell it from infinity"
+        found = f"a pole of modulus above {OUTSIDE:g}: the map cannot distinguish it from infinity"
         raise NoTrustworthyNumber("bilinear map", found, None, "a shorter sample time")
     if _is_singular(one + m, 1e12):
         raise NoTrustworthyNumber("bilinear map", "a pole at z = -1 has no place in continuous time")

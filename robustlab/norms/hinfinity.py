@@ -335,7 +335,7 @@ def _on_the_boundary(band: Band | None, m: StateSpaceModel) -> HinfNorm | None:
 
 def _infinite(pole: complex, certain: bool) -> HinfNorm:
     """Return the norm of a model with a pole on the boundary, or one indistinguishable from it."""
-    word, lower = ("is on", np.inf) if certain else ("cannot be told from", 0.0)
+    word, lower = ("is on", np.inf) if certain else ("cannot be distinguished from", 0.0)
     status = Status.CERTIFIED if certain else Status.INACCURATE
     return HinfNorm(lower, np.inf, np.nan, status, f"pole {pole_text(pole)} {word} the stability boundary")
 

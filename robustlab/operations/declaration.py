@@ -46,7 +46,7 @@ class InLoop(NamedTuple):
     result: Any
     loop: str = ""  # description of the loop
     notes: tuple[str, ...] = ()
-    beside: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
+    extras: Mapping[str, Any] = {}  # name -> a text, or a further result, whose status is checked, too
     parts: tuple[Any, ...] = ()  # requested tables, each a `robustlab.display.Part`
     numbers: Mapping[str, Any] = {}  # further ones, for the requirements of a recipe
 

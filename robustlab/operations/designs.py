@@ -72,7 +72,7 @@ def _design(found: Any, system: Any, proved: bool = True) -> InLoop:
 
     if not isinstance(system, TrackingProblem):
         return InLoop(found)
-    return InLoop(found, beside={"functions": TrackingLoop(system, found, found.gamma if proved else None)})
+    return InLoop(found, extras={"functions": TrackingLoop(system, found, found.gamma if proved else None)})
 
 
 # --- generalised plants -----------------------------------------------------------------------------------------------
@@ -380,7 +380,7 @@ def compare_performance(
     models = {name: as_model(K, name) for name, K in controllers.items()}
     loops = {name: (system.close(K), K.n_states) for name, K in models.items()}
     found = compared(loops, gain=gain, points=points, accuracy=accuracy, seed=seed, **vars(search))
-    return InLoop(found, beside=found.margins)
+    return InLoop(found, extras=found.margins)
 
 
 RUNS, POSITIVE = "dynamics.control.platform.", Number(above=0)

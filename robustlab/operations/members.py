@@ -130,7 +130,7 @@ def show(uncertain: Uncertain) -> Any:
     Example: robustlab uncertain show uncertain.h5
     """
     nominal = uncertain.nominal
-    return InLoop(uncertain, beside={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
+    return InLoop(uncertain, extras={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
 
 
 class Vertices(Kind):
@@ -165,7 +165,7 @@ def sample(
     if driven["t"] is None:
         driven["t"] = default_clock(uncertain.nominal, "uncertain sample")
     members = rl.sample(uncertain.select(None, outputs) if outputs else uncertain, n, seed, vertices)
-    return InLoop(members.respond(**driven), beside={"seed": seed, "vertices": members.vertices})
+    return InLoop(members.respond(**driven), extras={"seed": seed, "vertices": members.vertices})
 
 
 RESULT, STORE = "campaign.runs.CampaignResult", "Store of a campaign (SQLite)."

@@ -102,7 +102,7 @@ def linearise(
         model = drop_unconnected(model.select(outputs=outputs))
     missing = plant.left_out(point, amplitude or {}, pade) if isinstance(plant, SteppedPlant) else ()
     notes = tuple(f"not in it: {m.effect.effect.title} at {m.effect.site}: {m.reason}" for m in missing)
-    return InLoop(model, notes=notes, beside=_place(at, pose))
+    return InLoop(model, notes=notes, extras=_place(at, pose))
 
 
 def _place(at: Any, pose: Any) -> dict[str, str]:

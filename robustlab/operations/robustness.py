@@ -69,7 +69,7 @@ def _of_loop(margins: Callable[..., Any], plant: Any, around: Loop, **options: A
     loop = closing(plant, K, around.sign, "margins", None if K is not None else -1)
     K = None if loop.K is None else without_sign(loop.K, "margins")
     found = replace(margins(loop.plant, K, sign=loop.sign, **options), loop=loop.said)
-    return InLoop(found, beside={"feedback": "negative" if loop.sign < 0 else "positive"})
+    return InLoop(found, extras={"feedback": "negative" if loop.sign < 0 else "positive"})
 
 
 # --- a set ------------------------------------------------------------------------------------------------------------
@@ -111,13 +111,13 @@ def robust_stability(
         raise UsageError("mu", "--intervals at given frequencies", "the margin")
     curves = {} if at else {"omega": _grid(loop, drawn)}
     found: Any = rl.robust_stability(loop, frequency=frequency, **options, **curves)
-    beside: dict[str, Any] = {}
+    extras: dict[str, Any] = {}
     if drawn and isinstance(found, Margin) and found.delta and loop.outputs:
         try:
-            beside["replay"] = replay(loop, found)
+            extras["replay"] = replay(loop, found)
         except rl.RobustlabError as error:
-            return InLoop(found, words, (f"no replay: {error}",), beside)
-    return InLoop(found, words, (), beside, (found.proved_intervals(),) if intervals else ())
+            return InLoop(found, words, (f"no replay: {error}",), extras)
+    return InLoop(found, words, (), extras, (found.proved_intervals(),) if intervals else ())
 
 
 @operation("worst-gain", "worst-gain", result=f"mu_analysis.axis.margin.WorstCaseGain, {AT}GainAt")

@@ -200,8 +200,8 @@ def found_in_words(requirement: Mapping[str, Any]) -> str:
     if requirement["why_not"]:
         return str(requirement["why_not"])
     free = requirement.get("free_run")
-    beside = f" (in free run {_with_unit(requirement, free['value'])})" if free else ""
-    return f"{_with_unit(requirement, requirement['value'])}{beside}"
+    free_run = f" (in free run {_with_unit(requirement, free['value'])})" if free else ""
+    return f"{_with_unit(requirement, requirement['value'])}{free_run}"
 
 
 def _with_unit(requirement: Mapping[str, Any], value: Any) -> str:

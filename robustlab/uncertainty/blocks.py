@@ -496,7 +496,7 @@ class RealScalar(ScalarBlock):
     def merged(self, others: Sequence[RealScalar], where: str) -> Block:
         for other in others:
             if other.parameter != self.parameter:
-                found = f"stands for {self.parameter} in one operand and for {other.parameter} in another"
+                found = f"is {self.parameter} in one operand and {other.parameter} in another"
                 raise InputError(where, found, "one range for one name", "rename one of the two blocks")
         return super().merged(others, where)
 

@@ -302,7 +302,7 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     # Where the models are 1 apart at some frequency, the winding number no longer matters.
     counted = sure or norm.lower < 1 - AGREE
     if counted and not sure:
-        status, reason = Status.INACCURATE, "a zero of det(G2* G1) lies too close to the stability boundary to count"
+        status, reason = Status.INACCURATE, "a zero of det(G2* G1) is too close to the stability boundary to count"
     if counted and winding != 0 and norm.lower < 1:
         text = f"det(G2* G1) winds {winding} times around the origin: no controller is good for both"
         return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else reason)

@@ -136,7 +136,7 @@ def _boxes(G: Model, frequency: Callable[[float], float], a: float, b: float, fo
         if answer.least < INDEFINITE:
             return not_proved(f"at {at:.9g} rad/s the form's smallest eigenvalue is {answer.least:.3g} of its size", at)
         if not a < w0 < b:
-            return not_proved(f"at {at:.9g} rad/s the form is singular, or a pole lies on the axis, or nearly", at)
+            return not_proved(f"at {at:.9g} rad/s the form is singular, or a pole is on the axis, or nearly", at)
         todo += [(w0, b), (a, w0)]
     return PROVED
 

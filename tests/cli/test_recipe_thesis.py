@@ -28,7 +28,7 @@ def test_thesis_meets_its_requirements(tmp_path):
     assert {f"numbers.rows.{key}.ours" for key, row in rows.items() if row["status"] in "RF"} <= judged
     # Fits are counted by themselves.
     assert step["numbers"]["counts"] == {"R": 21, "F": 2, "P": 23, "N": 16}
-    assert "21 of 21 said to be reproduced are; 2 more are fits" in step["summary"]
+    assert "21 of 21 declared reproducible are; 2 more are fits" in step["summary"]
     # One number for a case, in the table and in its figure.
     for key, case in (("15", "1"), ("16", "2a"), ("17", "2b"), ("18", "2c")):
         assert step["numbers"]["bands"][case]["phi_1"] == pytest.approx(rows[key]["ours"], rel=1e-8)

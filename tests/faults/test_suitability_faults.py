@@ -51,7 +51,7 @@ def test_a_free_swing_is_judged_by_its_periods_and_not_by_its_decay(samples):
     found = suitability(LIGHT, swing(14.66, samples))
     assert found.fit
     (finding,) = found.findings
-    assert (finding.kind, "tells no gain of an input" in finding.message) == ("unexcited", True)
+    assert (finding.kind, "does not determine the gain of an input" in finding.message) == ("unexcited", True)
 
 
 def test_less_than_a_period_of_an_oscillation_is_too_short():

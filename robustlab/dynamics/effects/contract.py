@@ -129,7 +129,7 @@ class Footprint:
 
     port: str  # name of the port or signal at which it acts
     signal: str  # its argument: "speed", "position", "input", "output", "current", "force", "time"
-    # Sector: the effect lies between these two gains (force per speed, and so on) at the given amplitude.
+    # Sector: the effect is between these two gains (force per speed, and so on) at the given amplitude.
     gain_lower: float
     gain_upper: float
     delay: float = 0.0  # pure delay in s

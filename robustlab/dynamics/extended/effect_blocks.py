@@ -226,7 +226,7 @@ class EffectBlocks(Displayable):
         harmonic = f"{names}: holds by harmonic balance, for oscillations that its line names, not for every motion."
         notes = {
             harmonic: self.approximate,
-            "Inputs for bounded errors come first; one stands for the bound that their line names.": self.noise,
+            "Inputs for bounded errors come first; one is the bound in their row.": self.noise,
             "What is proved for this set says nothing about the effects that are not in it.": self.left_out,
         }
         return tuple(text for text, there in notes.items() if there)

@@ -160,7 +160,7 @@ class PlantEquations:
         if not n:
             raise InputError(f"{self._where}: motion", "no joint", "p.joint(...) before it")
         if self._motion is not None:
-            raise InputError(f"{self._where}: motion", "said twice", "all joints in one p.motion(...)")
+            raise InputError(f"{self._where}: motion", "given twice", "all joints in one p.motion(...)")
         matrix = self._matrix(mass_matrix, (n, n), "motion: mass matrix")
         self._motion = matrix, self._matrix(forces, (n, 1), "motion: forces")
 
@@ -182,7 +182,7 @@ class PlantEquations:
         """Add an output: an expression in states, inputs and parameters."""
         _title(name, self._where, "output")
         if name in self._outputs:
-            raise InputError(f"{self._where}: output {name!r}", "said twice", "one of that name")
+            raise InputError(f"{self._where}: output {name!r}", "given twice", "one of that name")
         _check_unit(unit, f"{self._where}: output {name!r}")
         self._outputs[name] = self._matrix(expression, (1, 1), f"output {name}"), unit
 

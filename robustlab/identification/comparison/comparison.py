@@ -67,7 +67,7 @@ ROUNDING = 1e-9  # a residual below this share of the range is rounding and is n
 
 @dataclass(frozen=True)
 class Comparison(Tabular, Evidence):
-    """Result of `compare`; mappings are by the name of the output where nothing else is said."""
+    """Result of `compare`; mappings are by the name of the output unless stated otherwise."""
 
     status: Status  # CONVERGED: both simulations are finite and every number follows from the series kept here
     model: str

@@ -361,7 +361,7 @@ def _unexcited(
         elif any(record[name].any() for name in constant):
             reason = "a constant load cannot be distinguished from it"
         else:
-            reason = "free motion alone, which tells no gain of an input"
+            reason = "free motion alone, which does not determine the gain of an input"
         hint = "move the machine: steps in both directions, at two levels at least, and slow ramps through zero"
         evidence: dict[str, object] = {"constant": constant, "outputs_in_noise": still}
         text, expected = f"constant: {values}; {reason}", "an input that moves"

@@ -101,7 +101,7 @@ def _chains(plant: NonlinearPlant, u: Array, y: Array, columns: Sequence[int]) -
             known = ", ".join(plant.outputs[k].name for k in columns)
             raise InputError(
                 f"discover {plant.name}", f"no measured output shows {names[q]} (measured: {known})",
-                "the position of every joint of a nonlinear plant", "a speed alone does not tell where the plant is",
+                "the position of every joint of a nonlinear plant", "a speed alone does not determine the position",
             )  # fmt: skip
     paired = {k for pair in groups for k in pair}
     groups += [(k,) for k in shown if k not in paired]

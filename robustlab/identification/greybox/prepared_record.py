@@ -55,9 +55,9 @@ class PreparedRecord:
     x0: Array
     x0_std: Array
     smoothed: SmoothedRecord
-    # told: part of each measured output in the smoothed states, which are linear in the record, (n_measured, n, n_x);
+    # state_shares: part of each measured output in the smoothed states, linear in the record: (n_measured, n, n_x);
     # constant: that of one unit more of each output at all samples
-    told: Array
+    state_shares: Array
     constant: Array
     push: Array  # directions of the unknown forces, (n_x, n_forces)
     thin: int  # samples averaged into one point of the error
@@ -91,10 +91,10 @@ class PreparedRecord:
         # lag: delay of all sensors in s; shown, biased, late: gain, bias and delay by index of an output of the plant.
         x0 = self._at(self.smoothed.x, lag) if lag else self.x0.copy()
         for j, share, unit in self._corrections(shown, biased):
-            x0 += share * self._at(self.told[j], lag) - unit * self._at(self.constant[j], lag)
+            x0 += share * self._at(self.state_shares[j], lag) - unit * self._at(self.constant[j], lag)
         for j, column in enumerate(self.columns):
             if column in late:
-                x0 += self._at(self.told[j], late[column]) - self.told[j][self.windows.starts]
+                x0 += self._at(self.state_shares[j], late[column]) - self.state_shares[j][self.windows.starts]
         return x0
 
     def motion_seen(
@@ -105,11 +105,11 @@ class PreparedRecord:
             return self.motion
         x = self.motion.copy()
         for j, share, unit in self._corrections(shown, biased):
-            x += share * self.told[j] - unit * self.constant[j]
+            x += share * self.state_shares[j] - unit * self.constant[j]
         clock = np.arange(len(x), dtype=float)
         for j, column in enumerate(self.columns):
-            for k in np.flatnonzero(self.told[j].any(axis=0)) if column in late else ():
-                part = self.told[j][:, k]
+            for k in np.flatnonzero(self.state_shares[j].any(axis=0)) if column in late else ():
+                part = self.state_shares[j][:, k]
                 x[:, k] += np.interp(clock + late[column] / self.record.dt, clock, part) - part
         return x
 

@@ -373,7 +373,7 @@ class Discovery(Tabular, Evidence):
         else:
             sets = [_in_a_row(map(_title, [*p.effects, *filter(None, [p.unnamed])])) for p in self.collection]
             either = _in_a_row((words or "nothing" for words in sets), "or")
-            finding = f"lacks either {either}: these records cannot tell which ({more})"
+            finding = f"lacks either {either}: these records cannot distinguish them ({more})"
         return f"{'Interrupted; by then: ' if self.interrupted else ''}{self.plant} {finding}"
 
     def facts(self) -> Facts:
@@ -470,7 +470,7 @@ def _sure_titles(d: Discovery) -> list[str]:
 def kind_words(kind: NamedKind) -> str:
     """Return probability, quantities and possible forms of a class whose form is open."""
     values = [f"{v.name} {with_interval(v)}" for v in kind.values]
-    why = "not settled beside what remains" if kind.misfit else "not settled"
+    why = "not settled, because of the remaining error" if kind.misfit else "not settled"
     if sum(share >= SURE for share in kind.members.values()) > 1:
         why = "more than one at once"
     shares = [f"{_small_first(_title(e))} {chance(share)}" for e, share in kind.members.items() if share >= 0.01]

@@ -179,7 +179,7 @@ def _data(system: Any, frequency: ArrayLike | None, where: str) -> UncertainFreq
     """Return the system at the requested frequencies; reject asymmetric ranges."""
     if isinstance(system, UncertainFrequencyData):
         if frequency is not None:
-            raise InputError(f"{where}: frequency", "given beside data", "none: data have their own")
+            raise InputError(f"{where}: frequency", "given with data", "none: data have their own")
         data = system
     elif frequency is None:
         hint = "the whole axis has functions of its own"

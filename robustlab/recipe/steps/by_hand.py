@@ -334,7 +334,7 @@ class SampleStep(OperationStep):
         if self.percent is not None:
             facts.append(self._percent_bands(work, responses, numbers, self.percent))
         count, unstable = len(responses.y), len(responses.unstable)
-        drawn = f"{given['n']} random, seed {found.beside['seed']}; the rest vertices of Δ"
+        drawn = f"{given['n']} random, seed {found.extras['seed']}; the rest vertices of Δ"
         notes = (f"{unstable} of these {count} members are unstable.",) if unstable else ()
         notes += ("Sampled, not proved: members that were not drawn may lie outside this envelope.",)
         numbers = {"outputs": numbers, "members": count, "unstable": unstable}
@@ -436,7 +436,7 @@ class PublishedNumbersStep(Step):
         facts += tuple(_fact(row) for row in found.rows.values())
         reproduced = sum(row.agrees is True for row in found.with_status("R"))
         summary = (
-            f"{len(rows)} rows: {reproduced} of {counts['R']} said to be reproduced are; {counts['F']} more are fits, "
+            f"{len(rows)} rows: {reproduced} of {counts['R']} declared reproducible are; {counts['F']} more are fits, "
             "which are not counted."
         )
         numbers = {"rows": rows, "counts": counts, "disagreeing": len(off), "bands": bands}

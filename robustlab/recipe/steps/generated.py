@@ -91,12 +91,12 @@ class OperationStep(Step):
         """Save and draw the result, and return its outcome."""
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence
-            for part, one in (("", result), *found.beside.items()):
+            for part, one in (("", result), *found.extras.items()):
                 judged = getattr(one, "status", None) is not None
                 if judged:
                     work.keep(one, part)
                 for name, picture in work.pictures(one) if not (part and judged) else ():
-                    if part or name not in found.beside:  # an additional result replaces the picture
+                    if part or name not in found.extras:  # an additional result replaces the picture
                         work.draw(picture.figure, name, picture.caption)
         if self.gives == "record" and work.simulated.intersection(self._records()):
             work.simulated.add(work.step)
@@ -107,7 +107,7 @@ class OperationStep(Step):
         value = self.declared.made_of(result) if self.gives != "nothing" else None
         simulated = [f"Record {name} is simulated, not measured." for name in self._records() if name in work.simulated]
         notes = (*found.notes, *getattr(result, "notes", ()), *simulated)
-        words = {"loop": found.loop, **{name: one for name, one in found.beside.items() if isinstance(one, str)}}
+        words = {"loop": found.loop, **{name: one for name, one in found.extras.items() if isinstance(one, str)}}
         facts = (*(Fact(name.capitalize(), word) for name, word in words.items() if word), *facts_of(result))
         # A class without its own summary has its facts in the report already.
         text = result.tables() if type(result).summary is Displayable.summary else result.report()

@@ -93,7 +93,7 @@ def test_the_first_line_is_the_verdict_in_a_sentence():
         "servo-axis lacks Coulomb (dry) friction: error on held-out data 3 % of the range as given, 0.9 % refitted, "
         "0.1 % with it; in free run 25 % -> 10 % -> 0.5 %."
     )
-    assert "cannot tell which" in sentence(ambiguous())
+    assert "cannot distinguish them" in sentence(ambiguous())
     unsettled = made(verdict="ambiguous", status=Status.INCONCLUSIVE)
     assert "may lack Coulomb (dry) friction, which is not sure" in sentence(unsettled)
     assert "either Coulomb (dry) friction or presliding (elastic dry friction): these" in sentence(ambiguous())
