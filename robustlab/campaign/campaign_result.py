@@ -15,8 +15,7 @@ from robustlab.campaign.evaluation import Evaluator
 from robustlab.campaign.store import Store
 from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import InputError
-from robustlab.result import Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Status, Table, Tabular
 from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson, quantile_bounds
 from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED

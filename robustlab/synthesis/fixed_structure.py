@@ -20,7 +20,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.h2 import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
@@ -36,7 +36,6 @@ from robustlab.synthesis.problem.partition import (
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
 from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, law_around, multi_start
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 

@@ -21,8 +21,7 @@ from robustlab.identification.comparison.error_analysis import (
 from robustlab.identification.comparison.repeats import Excess, NoiseFloor
 from robustlab.identification.response.windowed_simulation import InitialState
 from robustlab.record import Record
-from robustlab.result import Evidence, Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Evidence, Status, Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
 NOT_AS_IT_IS = ("measured", "simulated", "windowed", "noise_reason", "against_noise")

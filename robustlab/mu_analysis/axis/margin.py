@@ -14,9 +14,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.branch_and_bound import Box, Region
 from robustlab.norms import PeakGain
-from robustlab.result import Bracket
+from robustlab.result import Bracket, Table, Tabular
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 

@@ -17,8 +17,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import Box, MatrixProblem, ti
 from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.skew import skew_lower, skew_upper, varying_inputs
 from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, upper_bounds
-from robustlab.result import Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, structure_size
 
 BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the set, each with its D, G

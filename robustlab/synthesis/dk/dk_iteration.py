@@ -28,7 +28,7 @@ from robustlab.mu_analysis.matrix.lower import lower_bounds
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.dk.riccati_level import Found, LevelSearch, grown, minimised
 from robustlab.synthesis.dk.scalings import (
@@ -55,7 +55,6 @@ from robustlab.synthesis.problem.partition import (
     paths_first,
     require_performance,
 )
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, block_slices, delta_values, structure_size
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Outcome

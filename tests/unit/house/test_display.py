@@ -17,9 +17,8 @@ from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
 from robustlab.files import records
 from robustlab.report import DRAWINGS
-from robustlab.result import Result, Status, plain
+from robustlab.result import Result, Status, Tabular, plain
 from robustlab.synthesis import Design
-from robustlab.tables import Tabular
 
 mpl.use("Agg")
 HOSTILE = "<script>alert(1)</script> & \x1b[31m \u202e $x$"
