@@ -95,7 +95,7 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
     if name.startswith("_"):  # asked for by Python itself
         raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
-    from robustlab.name_hints import unknown_public_name
+    from robustlab.lazily import unknown_public_name
 
     raise AttributeError(unknown_public_name(name, _PUBLIC))
 

@@ -118,10 +118,11 @@ class Bracket(Displayable):
     status: Status  # CERTIFIED where both were re-derived from their evidence
 
     unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+    derived: ClassVar[tuple[str, ...]] = ()  # properties that it adds
 
     def to_json(self) -> dict[str, Any]:
-        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
-        return {"type": type(self).__name__, **kept}
+        names = (*(f.name for f in fields(self) if f.name not in self.unsaved), *self.derived)
+        return {"type": type(self).__name__, **{name: getattr(self, name) for name in names}}
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,7 @@ class WorstCaseGain(AxisResult, PeakGain):
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
     unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
+    derived: ClassVar[tuple[str, ...]] = ("gap",)
 
     def evidence(self) -> Facts:
         """The worst member, and the size of the proof."""
@@ -234,9 +235,6 @@ class WorstCaseGain(AxisResult, PeakGain):
         """Nominal gain and both bounds over the requested frequencies."""
         columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "gap": self.gap}
 
 
 def delta_rows(
