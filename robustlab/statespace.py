@@ -324,9 +324,9 @@ def append(*models: StateSpaceModel) -> StateSpaceModel:
 
     dt = _common_dt(models, "append")
     empty = np.zeros((0, 0))
-    matrices: Any = [block_diag(empty, *(getattr(m, name) for m in models)) for name in "ABCD"]
+    A, B, C, D = (np.asarray(block_diag(empty, *(getattr(m, name) for m in models))) for name in "ABCD")
     inputs, outputs = ([s for m in models for s in getattr(m, side)] for side in ("inputs", "outputs"))
-    return StateSpaceModel(*matrices, dt, inputs, outputs, _states(*models), where="append")
+    return StateSpaceModel(A, B, C, D, dt, inputs, outputs, _states(*models), where="append")
 
 
 def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
