@@ -6,7 +6,6 @@ Needs robustlab alone, so that the tests can read what is written without buildi
 
 from __future__ import annotations
 
-import ast
 import enum
 import inspect
 import re
@@ -71,16 +70,8 @@ def first_sentence(obj: object) -> str:
 
 
 def groups() -> dict[str, list[str]]:
-    """Comment in the table of public names -> the names below it."""
-    found: dict[str, list[str]] = {}
-    source = Path(rl.__file__).read_text(encoding="utf-8")
-    table = source[source.index("_PUBLIC = {") : source.index("\n}\n")]
-    for line in table.splitlines()[1:]:
-        if comment := re.match(r"\s*# (.+)", line):
-            found[comment.group(1)] = []
-        else:
-            found[list(found)[-1]].append(ast.literal_eval(line.strip().partition(":")[0]))
-    return found
+    """Heading -> the public names below it."""
+    return {heading: " ".join(modules.values()).split() for heading, modules in rl._GROUPS.items()}
 
 
 def results() -> dict[str, type]:

@@ -9,106 +9,80 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-_PUBLIC = {
-    # models
-    "StateSpaceModel": "statespace",
-    "Signal": "statespace",
-    "ss": "realisations",
-    "tf": "realisations",
-    "zpk": "realisations",
-    "descriptor": "dynamics.descriptor_elimination",
-    "Record": "record",
-    "load": "storage.interchange",
-    "save": "storage.interchange",
-    "export_controller": "storage.controller_export",
-    # delays
-    "DelayedModel": "delays.model",
-    "delay": "delays.model",
-    "with_delays": "delays.model",
-    # plants from physics
-    "plant": "dynamics",
-    "PlantEquations": "dynamics.symbolic.equations",
-    "trim": "dynamics",
-    "linearise": "dynamics",
-    "simulate": "dynamics",
-    "with_effects": "dynamics.extended.extended_plant",
-    # uncertainty
-    "RealScalar": "uncertainty.blocks",
-    "ComplexScalar": "uncertainty.blocks",
-    "FullBlock": "uncertainty.blocks",
-    "ParameterRange": "uncertainty.blocks",
-    "UncertainModel": "uncertainty.lft",
-    "elementwise": "uncertainty.elementwise",
-    "parametric": "uncertainty.parametric",
-    "UncertainFrequencyData": "uncertainty.frequency_responses",
-    "frequency_data": "uncertainty.frequency_responses",
-    "star": "uncertainty.lft",
-    "connect": "uncertainty.named_wiring",
-    "unstructured": "uncertainty.unstructured",
-    "cover": "mu_analysis.margins.cover",
-    "overbound": "uncertainty.covers",
-    # analysis
-    "peak_gain": "analysis.gains_and_margins",
-    "sample": "worst_case_analysis",
-    "worst_case": "worst_case_analysis",
-    "violation_probability": "worst_case_analysis",
-    "mu": "mu_analysis.matrix.bounds",
-    "robust_stability": "analysis.gains_and_margins",
-    "disk_margin": "analysis.gains_and_margins",
-    "classical_margins": "analysis.gains_and_margins",
-    "robust_performance": "mu_analysis.axis.robustness",
-    "robust_gain": "analysis.performance",
-    "gap": "analysis.designs",
-    "nu_gap": "uncertainty.distances",
-    "coprime_margin": "uncertainty.distances",
-    "h2_norm": "norms",
-    "zeros": "linear_analysis.zeros",
-    "controllability": "linear_analysis.structural",
-    "observability": "linear_analysis.structural",
-    "frequency_response": "linear_analysis.frequency",
-    # nonlinear and time-varying blocks
-    "Varying": "iqc.block_types",
-    "Nonlinearity": "iqc.block_types",
-    # synthesis
-    "hinf": "analysis.designs",
-    "h2": "synthesis.h2",
-    "loop_functions": "synthesis.specifications.loop_functions",
-    "mixsyn": "synthesis.hinf.loop_shaping",
-    "ncf": "synthesis.hinf.loop_shaping",
-    "dk": "synthesis.dk.dk_iteration",
-    "fixed_structure": "synthesis.fixed_structure",
-    "tune": "synthesis.goal_tuning",
-    "generalized_plant": "synthesis.problem.partition",
-    "performance_weight": "synthesis.specifications.weight_design",
-    "control_weight": "synthesis.specifications.weight_design",
-    "complementary_weight": "synthesis.specifications.weight_design",
-    "makeweight": "synthesis.specifications.weight_design",
-    "Controller": "synthesis.problem.design",
-    # gain scheduling
-    "LPVModel": "synthesis.scheduling.parameter_varying",
-    "lpv_model": "synthesis.scheduling.parameter_varying",
-    # reduction and discretisation
-    "reduce_model": "synthesis.reduction.model_reduction",
-    "minimal": "synthesis.reduction.model_reduction",
-    "reduce_controller": "synthesis.reduction.controller_reduction",
-    "discretise": "synthesis.discretisation",
-    "d2c": "synthesis.discretisation",
-    "sampled_data_norm": "synthesis.sampled_norm",
-    # measurements
-    "compare": "identification.comparison.comparison",
-    "discover": "identification.missing_effects.discovery",
-    "watch": "identification.monitoring",
-    "data_cover": "identification.validation.model_validation",
-    "uncertain_from": "identification.missing_effects.updated_plant",
-    "validate": "identification.validation",
-    "FrequencyData": "identification.validation",
-    # trust
-    "verify": "evidence.verification",
-    "Status": "result",
-    "RobustlabError": "errors",
-    "InputError": "errors",
-    "NoTrustworthyNumber": "errors",
+_GROUPS = {  # heading of the reference page -> module -> its public names
+    "models": {
+        "statespace": "StateSpaceModel Signal",
+        "realisations": "ss tf zpk",
+        "dynamics.descriptor_elimination": "descriptor",
+        "record": "Record",
+        "storage.interchange": "load save",
+        "storage.controller_export": "export_controller",
+    },
+    "delays": {"delays.model": "DelayedModel delay with_delays"},
+    "plants from physics": {
+        "dynamics": "plant trim linearise simulate",
+        "dynamics.symbolic.equations": "PlantEquations",
+        "dynamics.extended.extended_plant": "with_effects",
+    },
+    "uncertainty": {
+        "uncertainty.blocks": "RealScalar ComplexScalar FullBlock ParameterRange",
+        "uncertainty.lft": "UncertainModel star",
+        "uncertainty.elementwise": "elementwise",
+        "uncertainty.parametric": "parametric",
+        "uncertainty.frequency_responses": "UncertainFrequencyData frequency_data",
+        "uncertainty.named_wiring": "connect",
+        "uncertainty.unstructured": "unstructured",
+        "mu_analysis.margins.cover": "cover",
+        "uncertainty.covers": "overbound",
+    },
+    "analysis": {
+        "analysis.gains_and_margins": "peak_gain robust_stability disk_margin classical_margins",
+        "worst_case_analysis": "sample worst_case violation_probability",
+        "mu_analysis.matrix.bounds": "mu",
+        "mu_analysis.axis.robustness": "robust_performance",
+        "analysis.performance": "robust_gain",
+        "analysis.designs": "gap",
+        "uncertainty.distances": "nu_gap coprime_margin",
+        "norms": "h2_norm",
+        "linear_analysis.zeros": "zeros",
+        "linear_analysis.structural": "controllability observability",
+        "linear_analysis.frequency": "frequency_response",
+    },
+    "nonlinear and time-varying blocks": {"iqc.block_types": "Varying Nonlinearity"},
+    "synthesis": {
+        "analysis.designs": "hinf",
+        "synthesis.h2": "h2",
+        "synthesis.specifications.loop_functions": "loop_functions",
+        "synthesis.hinf.loop_shaping": "mixsyn ncf",
+        "synthesis.dk.dk_iteration": "dk",
+        "synthesis.fixed_structure": "fixed_structure",
+        "synthesis.goal_tuning": "tune",
+        "synthesis.problem.partition": "generalized_plant",
+        "synthesis.specifications.weight_design": "performance_weight control_weight complementary_weight makeweight",
+        "synthesis.problem.design": "Controller",
+    },
+    "gain scheduling": {"synthesis.scheduling.parameter_varying": "LPVModel lpv_model"},
+    "reduction and discretisation": {
+        "synthesis.reduction.model_reduction": "reduce_model minimal",
+        "synthesis.reduction.controller_reduction": "reduce_controller",
+        "synthesis.discretisation": "discretise d2c",
+        "synthesis.sampled_norm": "sampled_data_norm",
+    },
+    "measurements": {
+        "identification.comparison.comparison": "compare",
+        "identification.missing_effects.discovery": "discover",
+        "identification.monitoring": "watch",
+        "identification.validation.model_validation": "data_cover",
+        "identification.missing_effects.updated_plant": "uncertain_from",
+        "identification.validation": "validate FrequencyData",
+    },
+    "trust": {
+        "evidence.verification": "verify",
+        "result": "Status",
+        "errors": "RobustlabError InputError NoTrustworthyNumber",
+    },
 }
+_PUBLIC = {name: module for group in _GROUPS.values() for module, names in group.items() for name in names.split()}
 
 __all__ = list(_PUBLIC)  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -122,7 +96,7 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
     if name.startswith("_"):  # requested by Python itself
         raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
-    from robustlab.name_hints import unknown_public_name
+    from robustlab.lazily import unknown_public_name
 
     raise AttributeError(unknown_public_name(name, _PUBLIC))
 

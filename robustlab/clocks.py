@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robustlab.arrays import Array, Mask
+from robustlab.checks import number
 from robustlab.errors import InputError
 
 # Steps of more than this many sample times have a missing sample.
@@ -81,15 +82,10 @@ def common_clock(where: str, clocks: Mapping[str, Array], dt: float | None = Non
 
 def checked_step(where: str, dt: float, t: Array) -> float:
     """Return ``dt`` if a record with the stamps ``t`` can be resampled to it."""
-    duration, own = float(t[-1] - t[0]), clock_step(t)
-    if not (np.isfinite(dt) and dt > 0):
-        raise InputError(f"{where}: dt", f"{dt} s", "a positive sample time in s")
-    if dt > duration:
-        raise InputError(f"{where}: dt", f"{dt:g} s", f"at most the record's {duration:.6g} s")
-    if duration / dt > MOST_SAMPLES * len(t):
-        hundredth = f"at least {own / MOST_SAMPLES:.3g} s, a hundredth of the record's own"
-        raise InputError(f"{where}: dt", f"{dt:g} s", hundredth)
-    return float(dt)
+    duration = float(t[-1] - t[0])
+    least = duration / (MOST_SAMPLES * len(t))
+    expected = f"a sample time from {least:.3g} s, a hundredth of the record's own, to its duration, {duration:.6g} s"
+    return number(f"{where}: dt", dt, expected, at_least=least, at_most=duration)
 
 
 def held(clock: Array, t: Array, samples: Array, step: float) -> Array:

@@ -35,8 +35,10 @@ class Part(NamedTuple):
 class AllFields:
     """Base of classes whose JSON is all of their fields."""
 
+    derived: ClassVar[tuple[str, ...]] = ()  # properties that `to_json` adds
+
     def to_json(self) -> dict[str, Any]:
-        return dict(vars(self))
+        return vars(self) | {name: getattr(self, name) for name in self.derived}
 
 
 class Each(NamedTuple):

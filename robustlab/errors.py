@@ -22,6 +22,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from functools import wraps
+from importlib.util import find_spec
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -128,6 +129,11 @@ class EnvironmentFault(RobustlabError, OSError):
 
 class DependencyMissing(EnvironmentFault):
     """An optional package is not installed; exit code 5."""
+
+
+def require_package(where: str, package: str, extra: str) -> None:
+    if find_spec(package) is None:
+        raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
 
 
 def rewritten(hint: str, written: Callable[[str, str], str | None]) -> str:

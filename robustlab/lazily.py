@@ -1,10 +1,12 @@
-"""Lazy import of the names of a package, so that a command loads only the modules it uses."""
+"""Lazy import of the names of a package, so that a command loads only the modules it uses; hints for unknown names."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 from typing import Any
+
+from robustlab.errors import did_you_mean
 
 
 def lazily(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[[str], Any]]:
@@ -17,3 +19,60 @@ def lazily(package: str, names: Mapping[str, str]) -> tuple[list[str], Callable[
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return list(module_of), get
+
+
+# Name here -> names of MATLAB and python-control; see docs/coming-from.
+NAMES = {
+    "rl.ss": "StateSpace zpk2ss",
+    "rl.tf": "TransferFunction tf2ss pid",
+    "rl.frequency_data": "frd FrequencyResponseData ufrd",
+    "rl.UncertainModel": "uss umat ureal ucomplex ultidyn",
+    "rl.sample(set, n)": "usample gridureal",
+    "set.evaluate({name: value})": "usubs",
+    "rl.connect": "append feedback interconnect sumblk sysic",
+    "rl.star": "lft",
+    "rl.cover; rl.overbound for a weight": "ucover fitmagfrd",
+    "rl.robust_stability": "robstab robuststab",
+    "rl.robust_performance": "robustperf",
+    "rl.robust_gain": "robgain",
+    "rl.peak_gain": "wcgain hinfnorm hinf_norm linfnorm linf_norm getPeakGain system_norm norm",
+    "rl.disk_margin": "diskmargin loopmargin disk_margins",
+    "rl.robust_stability of the set with a disk block in its loop": "wcdiskmargin",
+    "rl.classical_margins": "allmargin margin",
+    "rl.mu": "mussv",
+    "rl.gap": "gapmetric",
+    "rl.coprime_margin": "ncfmargin",
+    "rl.loop_functions": "loopsens",
+    "rl.hinf": "hinfsyn",
+    "rl.h2": "h2syn lqg",
+    "rl.mixsyn": "augw",
+    "rl.peak_gain(2 * (1 + G) ** -1 - 1), at most 1 where G is passive": "isPassive ispassive",
+    "rl.ncf": "ncfsyn loopsyn",
+    "rl.dk": "musyn dksyn",
+    "rl.fixed_structure": "hinfstruct",
+    "rl.tune": "systune",
+    "rl.reduce_model": "reduce balred balancmr modred balanced_reduction hankelmr",
+    "rl.reduce_model(model, order).hankel; control.hankel_singular_values": "hankel_singular_values hankelsv",
+    "rl.minimal": "minreal minimal_realization",
+    "rl.discretise(rl.d2c(G), dt)": "d2d",
+    "rl.discretise": "c2d sample_system",
+    "rl.simulate": "lsim forced_response initial_response",
+    "G.step()": "step_response",
+    "G.plot()": "bode bodeplot bode_plot pzmap nyquist",
+    "rl.frequency_response": "freqresp evalfr",
+    "rl.linearise": "linearize",
+    "rl.trim": "findop find_operating_point",
+    "rl.zeros": "tzero",
+    "of python-control, which is installed: control.lqr, lqe, place, care, dare, lyap": (
+        "lqr lqi kalman lqe dlqr place acker care icare dare idare lyap dlyap sylvester"
+    ),
+    "rl.sampled_data_norm": "sdhinfnorm",
+}
+
+
+def unknown_public_name(name: str, known: Iterable[str]) -> str:
+    """Return the sentence on a name that robustlab does not have: its name here, or the nearest one."""
+    answers = {old: answer for answer, names in NAMES.items() for old in names.split()}
+    if name in answers:
+        return f"robustlab has no {name!r}; here it is {answers[name]}"
+    return "; ".join(filter(None, [f"robustlab has no {name!r}", did_you_mean(name, (*known, *answers))]))

@@ -1,15 +1,20 @@
-"""Common parts of results: the status, and the conversion to plain JSON."""
+"""Common parts of results: the status, the conversion to plain JSON, and tables for pandas."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import Enum, StrEnum
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from robustlab.display import AllFields, Displayable, Facts, in_words
+from robustlab.errors import require_package
 from robustlab.provenance import Traced
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas
 
 
 class Status(StrEnum):
@@ -113,7 +118,36 @@ class Bracket(Displayable):
     status: Status  # CERTIFIED where both were re-derived from their evidence
 
     unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+    derived: ClassVar[tuple[str, ...]] = ()  # properties that it adds
 
     def to_json(self) -> dict[str, Any]:
-        kept = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.unsaved}
-        return {"type": type(self).__name__, **kept}
+        names = (*(f.name for f in fields(self) if f.name not in self.unsaved), *self.derived)
+        return {"type": type(self).__name__, **{name: getattr(self, name) for name in names}}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns over one index."""
+
+    index: tuple[str, Sequence[Any] | np.ndarray]  # its name, and its values or names, (n,)
+    columns: Mapping[str, Sequence[Any] | np.ndarray]  # name -> values, (n,)
+    units: Mapping[str, str] = field(default_factory=dict)  # name of the index or of a column -> unit, if any
+
+
+class Tabular:
+    """Base of results that are tables."""
+
+    def table(self) -> Table:
+        """Return the result as columns with units over one index."""
+        raise NotImplementedError
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the result as a data frame of pandas (extra ``frames``), with units in ``attrs["units"]``."""
+        require_package(f"{type(self).__name__}.to_pandas", "pandas", "frames")
+        import pandas
+
+        table = self.table()
+        name, values = table.index
+        frame = pandas.DataFrame(dict(table.columns), index=pandas.Index(values, name=name))
+        frame.attrs = {"units": dict(table.units)}
+        return frame

@@ -143,17 +143,17 @@ def signals(given: Iterable[SignalLike] | None, count: int, prefix: str, where: 
     for item in given:
         if not isinstance(item, str) and not (isinstance(item, (tuple, list)) and len(item) == 2):
             raise InputError(where, f"signal {item!r}", "a name or a (name, unit) pair")
-        name, unit = (item, "") if isinstance(item, str) else (str(item[0]), str(item[1]))
-        taken = item if isinstance(item, Taken) else None
-        if not name or len(name) > MAX_NAME:
-            raise InputError(where, f"signal name of {len(name)} characters", f"1 to {MAX_NAME} characters")
-        result.append(taken or Signal(name, unit))
+        parts = (item,) if isinstance(item, str) else map(str, item)
+        made = item if isinstance(item, Taken) else Signal(*parts)
+        if not 0 < len(made.name) <= MAX_NAME:
+            raise InputError(where, f"signal name of {len(made.name)} characters", f"1 to {MAX_NAME} characters")
+        result.append(made)
     if len(result) != count:
         raise InputError(where, f"{len(result)} signal names", f"{count}")
     names = [s.name for s in result]
     if len(set(names)) < len(names):
-        twice = sorted({n for n in names if names.count(n) > 1})
-        raise InputError(where, f"signal name {twice[0]!r} is used twice", "unique names")
+        twice = min(n for n in names if names.count(n) > 1)
+        raise InputError(where, f"signal name {twice!r} is used twice", "unique names")
     return tuple(result)
 
 

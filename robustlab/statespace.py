@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, is_rank_deficient
 from robustlab.display import SHOWN_BLOCKS, Displayable, Facts, Part, matrix_lines, number, short, with_units
-from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch
+from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.operators import TransferMatrix
 from robustlab.provenance import Traced
 from robustlab.signals import (
@@ -323,30 +323,24 @@ def append(*models: StateSpaceModel) -> StateSpaceModel:
     from scipy.linalg import block_diag
 
     dt = _common_dt(models, "append")
-    blocks = [np.asarray(block_diag(*(getattr(m, name) for m in models))) for name in "ABCD"]
-    # block_diag changes the shapes of empty matrices
-    n, n_u, n_y = (sum(getattr(m, a) for m in models) for a in ("n_states", "n_inputs", "n_outputs"))
-    shapes = ((n, n), (n, n_u), (n_y, n), (n_y, n_u))
-    a, b, c, d = (block.reshape(shape) for block, shape in zip(blocks, shapes, strict=True))
-    inputs, outputs, states = ([s for m in models for s in getattr(m, k)] for k in ("inputs", "outputs", "states"))
-    unique = len({s.name for s in states}) == n
-    return StateSpaceModel(a, b, c, d, dt, inputs, outputs, states if unique else None, where="append")
+    empty = np.zeros((0, 0))
+    A, B, C, D = (np.asarray(block_diag(empty, *(getattr(m, name) for m in models))) for name in "ABCD")
+    inputs, outputs = ([s for m in models for s in getattr(m, side)] for side in ("inputs", "outputs"))
+    return StateSpaceModel(A, B, C, D, dt, inputs, outputs, _states(*models), where="append")
 
 
 def series(first: StateSpaceModel, second: StateSpaceModel) -> StateSpaceModel:
     """Return ``second * first``: the outputs of ``first`` drive the inputs of ``second``, channel by channel."""
-    dt = _common_dt((first, second), "series")
+    dt = _common_dt((first, second), "product")
     if first.n_outputs != second.n_inputs:
-        raise InputError("series", f"{first.n_outputs} outputs into {second.n_inputs} inputs", "equal numbers")
-    for out, into in zip(first.outputs, second.inputs, strict=True):
-        if out.unit and into.unit and out.unit != into.unit:
-            raise UnitMismatch("series", f"{out.name} [{out.unit}] drives {into.name} [{into.unit}]", "equal units")
+        raise InputError("product", f"{first.n_outputs} outputs into {second.n_inputs} inputs", "equal numbers")
+    same_units("product", zip(first.outputs, second.inputs, strict=True))
     n1, n2 = first.n_states, second.n_states
     a = np.block([[first.A, np.zeros((n1, n2))], [second.B @ first.C, second.A]])
     b = np.vstack([first.B, second.B @ first.D])
     c = np.hstack([second.D @ first.C, second.C])
     states = _states(first, second)
-    return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, states, where="series")
+    return StateSpaceModel(a, b, c, second.D @ first.D, dt, first.inputs, second.outputs, states, where="product")
 
 
 def product(second: Any, first: Any) -> StateSpaceModel:
@@ -356,8 +350,6 @@ def product(second: Any, first: Any) -> StateSpaceModel:
     elif is_number(first):
         first = float(first) * np.eye(_operand(second, "product").n_inputs)
     g2, g1 = _operand(second, "product"), _operand(first, "product")
-    if g1.n_outputs != g2.n_inputs:
-        raise InputError("product", f"{g1.n_outputs} outputs into {g2.n_inputs} inputs", "equal numbers")
     inputs = inputs_of_product(second, first, g2.inputs, g1.inputs)
     outputs = names_of(first, second, g2.outputs, g1.outputs)
     return series(g1, g2).renamed(inputs, outputs)
@@ -379,8 +371,6 @@ def parallel(first: Any, second: Any, sign: int = 1) -> StateSpaceModel:
 
 def feedback(plant: Any, controller: Any = 1.0, sign: int = -1) -> StateSpaceModel:
     """Return the closed loop from r to y for ``y = G e``, ``e = r + sign * K y``, with the names of ``plant``."""
-    if sign not in (1, -1):
-        raise InputError("feedback", f"sign {sign!r}", "1 or -1")
     g = _operand(plant, "feedback")
     if is_number(controller):
         if g.n_inputs != g.n_outputs:
@@ -436,15 +426,8 @@ def _check_shapes(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
         raise InputError(where, f"A has {n} states", f"at most {MAX_STATES}")
     wanted = {"A": (a, (n, n)), "B": (b, (n, n_u)), "C": (c, (n_y, n))}
     wrong = [f"{name} is {m.shape}, expected {shape}" for name, (m, shape) in wanted.items() if m.shape != shape]
-    if not wrong:
-        return
-    hint = None
-    if a.shape == (n, n) and d.shape != d.T.shape == (c.shape[0], b.shape[1]):
-        wrong = [f"D is {d.shape}, expected {d.T.shape}"]
-        hint = "D looks transposed (column-major file?): use transpose=True"
-    elif b.shape != b.T.shape == (n, n_u) or c.shape != c.T.shape == (n_y, n):
-        hint = "B or C looks transposed (column-major file?): use transpose=True"
-    raise InputError(where, "; ".join(wrong), None, hint)
+    if wrong:
+        raise InputError(where, "; ".join(wrong))
 
 
 def _checked_operating_point(point: OperatingPoint | None, a: Array, d: Array, where: str) -> OperatingPoint | None:
@@ -468,9 +451,9 @@ def _operand(operand: Any, where: str) -> StateSpaceModel:
     return as_model(operand, where)
 
 
-def _states(first: StateSpaceModel, second: StateSpaceModel) -> tuple[Signal, ...] | None:
-    """Return the states of both under their own names if these are unique, else None."""
-    states = (*first.states, *second.states)
+def _states(*models: StateSpaceModel) -> list[Signal] | None:
+    """Return the states of all models under their own names if these are unique, else None."""
+    states = [s for m in models for s in m.states]
     return states if len({s.name for s in states}) == len(states) else None
 
 

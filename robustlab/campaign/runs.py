@@ -32,8 +32,7 @@ from robustlab.campaign.evaluation import (
 from robustlab.campaign.store import Store, locked
 from robustlab.display import AllFields, Displayable, Facts, Part, member, member_rows, number
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
-from robustlab.result import Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson, quantile_bounds

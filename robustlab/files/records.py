@@ -14,7 +14,6 @@ Values of several columns become channels numbered as in MATLAB: ``q(1)``, ``q(2
 
 from __future__ import annotations
 
-import importlib.util
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +24,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray, Array, not_finite
 from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
-from robustlab.errors import DependencyMissing, InputError, UnitMismatch, did_you_mean
+from robustlab.errors import InputError, UnitMismatch, did_you_mean, require_package
 from robustlab.files.hdf5 import read_tree
 from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
@@ -518,14 +517,9 @@ def _clock(source: Source, name: str, note: bool) -> Array:
 # The frame's ``attrs`` hold inputs, outputs, units, meanings and the record's name, so that no information is lost.
 
 
-def need(where: str, package: str, extra: str) -> None:
-    if importlib.util.find_spec(package) is None:
-        raise DependencyMissing(where, f"needs the package {package}", None, f"pip install 'robustlab[{extra}]'")
-
-
 def frame_of(keywords: Mapping[str, Any]) -> pandas.DataFrame:
     """Return a data frame with index ``t`` in s; see `robustlab.record.Record.to_pandas`."""
-    need("Record.to_pandas", "pandas", "frames")
+    require_package("Record.to_pandas", "pandas", "frames")
     import pandas
 
     inputs, outputs = keywords["inputs"], keywords["outputs"]
@@ -545,7 +539,7 @@ def keywords_of_frame(
 ) -> dict[str, Any]:
     """Invert `frame_of`; see `robustlab.record.Record.from_pandas`."""
     where = "Record.from_pandas"
-    need(where, "pandas", "frames")
+    require_package(where, "pandas", "frames")
     import pandas
 
     if not isinstance(frame, pandas.DataFrame):

@@ -43,8 +43,7 @@ from robustlab.identification.missing_effects.discovery_result import Discovery
 from robustlab.identification.missing_effects.set_search import clock_nuisances, held_inputs
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
-from robustlab.result import Evidence, Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Evidence, Status, Table, Tabular
 
 FAR = 2.0  # standard deviations of the parameters after the first piece, within which a window must be linear
 CLEAR = 10.0  # log evidence beyond an alarm, at which the onset is estimated; a later change may not be linear

@@ -123,6 +123,7 @@ class IqcStability(StabilityMargin):
     posed: Posed = field(kw_only=True)
 
     unsaved: ClassVar[tuple[str, ...]] = ("posed",)
+    derived: ClassVar[tuple[str, ...]] = ("stable",)
 
     def claims(self) -> list[Claim]:
         return [] if self.proof is None else [claim_of(self.posed, self.proof, size=self.lower)]
@@ -143,9 +144,6 @@ class IqcStability(StabilityMargin):
             ("holds", listed(self.conditions)),
             *_proof_facts(self.proof),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "stable": self.stable}
 
 
 def _blocks(nature: Mapping[str, str]) -> tuple[str, str]:

@@ -8,7 +8,7 @@ depend on the model's units. Březina 2010, eqs 4.2, 4.3; Paige, IEEE TAC 26 (19
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
@@ -45,7 +45,7 @@ class HiddenMode(AllFields):
 
 
 @dataclass(frozen=True, eq=False)
-class StructuralTest(Displayable):
+class StructuralTest(AllFields, Displayable):
     """Result of a controllability or observability test."""
 
     kind: Kind  #: ``"controllability"`` or ``"observability"``
@@ -59,6 +59,8 @@ class StructuralTest(Displayable):
     weakest: complex | None  #: The eigenvalue where the margin is attained; None without states
     status: Status  #: CONVERGED where the decision does not depend on rounding, else INACCURATE
 
+    derived: ClassVar[tuple[str, ...]] = ("complete",)
+
     @property
     def complete(self) -> bool:
         """Whether no mode is hidden: the model is controllable (observable)."""
@@ -70,26 +72,17 @@ class StructuralTest(Displayable):
         return tuple(mode for mode in self.modes if not mode.stable)
 
     def facts(self) -> Facts:
-        head, *modes = str(self).splitlines()
-        return [
-            (self.kind, head.rpartition(" (")[0]),
-            ("weakest mode", number(self.weakest)),
-            *(("hidden mode", text) for text in modes),
-        ]
-
-    def to_json(self) -> dict[str, object]:
-        return {**vars(self), "modes": [mode.to_json() for mode in self.modes], "complete": self.complete}
-
-    def __str__(self) -> str:
         word = {"controllability": "controllable", "observability": "observable"}[self.kind]
-        head = (
-            f"{word if self.complete else 'not ' + word}: rank {self.rank} of {self.n_states}, margin {self.margin:.3g}"
-        )
-        return "\n".join([f"{head} ({self.status})", *(f"  {mode.meaning}" for mode in self.modes)])
+        verdict = word if self.complete else f"not {word}"
+        return [
+            (self.kind, f"{verdict}: rank {self.rank} of {self.n_states}, margin {self.margin:.3g}"),
+            ("weakest mode", number(self.weakest)),
+            *(("hidden mode", mode.meaning) for mode in self.modes),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
-class Structure(Displayable):
+class Structure(AllFields, Displayable):
     """Poles of a model, whether it is stable, and which of its modes are hidden."""
 
     poles: ComplexArray  # in rad/s, or in the z plane for a discrete model, the rightmost first
@@ -99,6 +92,7 @@ class Structure(Displayable):
     controllability: StructuralTest
     observability: StructuralTest
 
+    derived: ClassVar[tuple[str, ...]] = ("status",)
     quantities: ClassVar[Mapping[str, Any]] = {
         "stable": bool, "spectral_abscissa": float,
         **{kind: {"rank": "1", "states": "1", "full": bool} for kind in get_args(Kind)},
@@ -127,9 +121,6 @@ class Structure(Displayable):
 
     def details(self) -> list[Part]:
         return [Part("", ("pole" if self.discrete else "pole [1/s]",), [(number(p, "", 6),) for p in self.poles])]
-
-    def to_json(self) -> dict[str, object]:
-        return {**{f.name: getattr(self, f.name) for f in fields(self)}, "status": self.status}
 
 
 def structure(model: Any) -> Structure:
@@ -161,9 +152,11 @@ def controllability(model: Any) -> StructuralTest:
     Examples
     --------
     >>> pair = StateSpaceModel([[-1.0, 0.0], [0.0, 2.0]], [[1.0], [0.0]], [[1.0, 1.0]], [[0.0]])
-    >>> print(controllability(pair))
-    not controllable: rank 1 of 2, margin 0 (converged)
-      unstable mode 2 rad/s in x2: no input moves it
+    >>> controllability(pair)
+    StructuralTest (converged)
+      controllability: not controllable: rank 1 of 2, margin 0
+      weakest mode: 2
+      hidden mode: unstable mode 2 rad/s in x2: no input moves it
     """
     m = as_model(model, "controllability")
     return _test(m, m.A, m.B, "controllability")

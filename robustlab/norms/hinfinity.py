@@ -121,6 +121,7 @@ class HinfNorm(PeakGain):
     quantities: ClassVar[Mapping[str, Any]] = {"value": float, "frequency": "rad/s", "lower": float, "upper": float}
     unstable: ClassVar[str] = "infinite"
     unsaved: ClassVar[tuple[str, ...]] = ("system", "band")
+    derived: ClassVar[tuple[str, ...]] = ("value",)
 
     @property
     def value(self) -> float:
@@ -129,9 +130,6 @@ class HinfNorm(PeakGain):
 
     def evidence(self) -> Facts:
         return [("reason", self.reason)]
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "value": self.value}
 
 
 @error_context("hinf_norm")

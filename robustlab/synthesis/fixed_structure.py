@@ -15,12 +15,12 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.budget import MILLION, NOT_REPEATABLE, Budget, one_thread
 from robustlab.checks import choice, whole
-from robustlab.display import Facts
+from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.mu_analysis.axis.margin import WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import H2Norm, HinfNorm, h2_by_gramians, hinf_norm
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis.h2 import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
@@ -36,7 +36,6 @@ from robustlab.synthesis.problem.partition import (
 from robustlab.synthesis.reduction.model_reduction import reduce_model
 from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
 from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, multi_start
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -54,7 +53,7 @@ MODES_WELL_APART = 1e6  # condition number of the modes of A_K up to which they 
 
 
 @dataclass(frozen=True)
-class ParameterValue:
+class ParameterValue(AllFields):
     """A parameter of the controller with its value and bounds."""
 
     name: str
@@ -62,6 +61,8 @@ class ParameterValue:
     unit: str
     low: float
     high: float
+
+    derived: ClassVar[tuple[str, ...]] = ("at_bound",)
 
     @property
     def at_bound(self) -> bool:
@@ -71,24 +72,20 @@ class ParameterValue:
         width = self.high - self.low if abs(self.low) + abs(self.high) < float("inf") else max(abs(self.value), 1e-300)
         return min(self.value - self.low, self.high - self.value) <= 2e-3 * width
 
-    def to_json(self) -> dict[str, Any]:
-        return vars(self) | {"at_bound": self.at_bound}
-
 
 @dataclass(frozen=True)
-class LimitValue:
+class LimitValue(AllFields):
     """A limit of the design and its value: at most zero where it is kept, -1 far inside."""
 
     text: str
     value: float
 
+    derived: ClassVar[tuple[str, ...]] = ("active",)
+
     @property
     def active(self) -> bool:
         """True where the design is at the limit (within 1 %)."""
         return self.value > -1e-2
-
-    def to_json(self) -> dict[str, Any]:
-        return vars(self) | {"active": self.active}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,7 +18,7 @@ from robustlab.checks import choice, number, whole
 from robustlab.display import Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.norms import bilinear_to_discrete
-from robustlab.result import Status
+from robustlab.result import Status, Table
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis import fixed_structure as fixed
@@ -28,7 +28,6 @@ from robustlab.synthesis.problem.partition import GeneralizedPlant
 from robustlab.synthesis.specifications.weight_design import performance_weight, weight_on_channels
 from robustlab.synthesis.structures.laws import Law
 from robustlab.synthesis.structures.search import DesignProblem, Limit, multi_start, refined
-from robustlab.tables import Table
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")

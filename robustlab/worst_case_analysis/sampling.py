@@ -17,9 +17,8 @@ from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import Signal, real_array
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.worst_case_analysis.members import (

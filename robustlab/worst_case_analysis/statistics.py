@@ -19,9 +19,8 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, Part, listed, member, number
 from robustlab.errors import InputError, error_context
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.units import amount
 from robustlab.worst_case_analysis.members import Deltas

@@ -172,7 +172,7 @@ def test_signals_are_named():
     assert (f * 2).inputs == f.inputs
     assert (f + 0.0).outputs == f.outputs
     assert (0.0 + f).outputs == f.outputs
-    with pytest.raises(UnitMismatch, match=r"y \[m\] drives u \[V\]"):
+    with pytest.raises(UnitMismatch, match=r"y \[m\] meets u \[V\]"):
         f @ f
     named = StateSpaceModel([], [], [], [[1.0]], inputs=["w:k"], outputs=["z:k"])
     assert (named @ gain_of("k")).outputs == named.outputs  # a signal called like a channel

@@ -54,9 +54,8 @@ from robustlab.identification.response.response import (
     with_units,
 )
 from robustlab.record import Record
-from robustlab.result import Evidence, Status
+from robustlab.result import Evidence, Status, Table, Tabular
 from robustlab.statespace import Signal
-from robustlab.tables import Table, Tabular
 
 # Fields that become JSON in another form, or not at all.
 NOT_AS_IT_IS = ("measured", "simulated", "windowed", "noise_reason", "against_noise")

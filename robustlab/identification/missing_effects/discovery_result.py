@@ -12,8 +12,7 @@ from robustlab.dynamics.effects.catalogue import KINDS, catalogue, effect
 from robustlab.dynamics.effects.contract import Effect, Scales
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.identification.tuning import SURE
-from robustlab.result import Evidence, Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Evidence, Status, Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.data_checks.suitability import Finding

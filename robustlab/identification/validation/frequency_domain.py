@@ -40,9 +40,8 @@ from robustlab.identification.validation.validation_result import (
 )
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
-from robustlab.result import Evidence
+from robustlab.result import Evidence, Table, Tabular
 from robustlab.statespace import Signal, StateSpaceModel, real_array
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import block_slices
 from robustlab.uncertainty.lft import UncertainModel
 

@@ -12,9 +12,8 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.display import Each, Facts, number
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.identification.validation.sampled_problem import Found, Search
-from robustlab.result import Evidence, Status
+from robustlab.result import Evidence, Status, Table, Tabular
 from robustlab.statespace import Signal
-from robustlab.tables import Table, Tabular
 
 SMALLEST = 1e-6  # smaller sizes count as zero
 REPLAYED = 1e-3  # largest difference between an explanation and its replay, over the noise bound

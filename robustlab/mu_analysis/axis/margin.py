@@ -14,9 +14,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.mu_analysis.axis.intervals import Piece
 from robustlab.mu_analysis.matrix.branch_and_bound import Box, Region
 from robustlab.norms import PeakGain
-from robustlab.result import Bracket
+from robustlab.result import Bracket, Table, Tabular
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.realised_delta import realise_delta
 
@@ -184,6 +183,7 @@ class WorstCaseGain(AxisResult, PeakGain):
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
     unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
+    derived: ClassVar[tuple[str, ...]] = ("gap",)
 
     def evidence(self) -> Facts:
         """The worst member, and the size of the proof."""
@@ -197,9 +197,6 @@ class WorstCaseGain(AxisResult, PeakGain):
         """Nominal gain and both bounds over the requested frequencies."""
         columns = {"nominal": self.nominal_gain, "lower": self.gain_lower, "upper": self.gain_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "gap": self.gap}
 
 
 def delta_rows(

@@ -22,8 +22,7 @@ from robustlab.mu_analysis.margins.disk_margin import DiskBounds, DiskMargins, P
 from robustlab.mu_analysis.matrix.bounds import gain_curves, mu
 from robustlab.mu_analysis.matrix.branch_and_bound import lowest
 from robustlab.norms import PeakGain
-from robustlab.result import Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.blocks import ComplexScalar, FullBlock, delta_values
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData, frequency_data
 

@@ -109,6 +109,7 @@ class DelayStability(StabilityMargin):
     system: DelayedModel | None = None
 
     unsaved: ClassVar[tuple[str, ...]] = ("system", "proof")
+    derived: ClassVar[tuple[str, ...]] = ("stable",)
 
     @classmethod
     def of(cls, stable: bool | None, *evidence: Any) -> DelayStability:
@@ -123,9 +124,6 @@ class DelayStability(StabilityMargin):
     def facts(self) -> Facts:
         verdict = {True: "yes: proved on the whole axis", False: "no: proved", None: "undecided"}[self.stable]
         return [("stable", verdict), ("order of the set", str(self.order)), ("pole", number(self.root, "1/s"))]
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "stable": self.stable}
 
 
 @error_context("delay_stability")

@@ -49,6 +49,7 @@ class DiskBounds(Bracket):
     quantities: ClassVar[Mapping[str, Any]] = {
         "lower": "1", "upper": "1", "frequency": "rad/s", "phase_margin": "rad",
     }  # fmt: skip
+    derived: ClassVar[tuple[str, ...]] = ("gain_margin", "phase_margin")
 
     @property
     def value(self) -> float:
@@ -87,9 +88,6 @@ class DiskBounds(Bracket):
             ("critical frequency", number(self.frequency, "rad/s") or "none"),
             ("skew", number(self.skew)),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "gain_margin": self.gain_margin, "phase_margin": self.phase_margin}
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,7 @@ from robustlab.mu_analysis.matrix.branch_and_bound import Box, MatrixProblem, ce
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
 from robustlab.mu_analysis.matrix.structure import entries, hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, proves, upper_bounds
-from robustlab.result import Status
-from robustlab.tables import Table, Tabular
+from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size
 
 BoxProof = tuple[tuple[Box, UpperBound], ...]  # boxes of Delta that cover the set, each with its D, G

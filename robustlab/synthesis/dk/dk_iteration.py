@@ -26,7 +26,7 @@ from robustlab.mu_analysis.matrix.structure import project
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.riccati_level import Found, LevelSearch, grown, minimised
 from robustlab.synthesis.dk.scalings import (
@@ -53,7 +53,6 @@ from robustlab.synthesis.problem.partition import (
     require_performance,
 )
 from robustlab.synthesis.structures.laws import unpacked
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, block_slices, delta_values, structure_size
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Outcome

@@ -18,14 +18,13 @@ from robustlab.budget import dense, one_thread
 from robustlab.checks import number, whole
 from robustlab.display import AllFields, Facts
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.result import Status
+from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.certify import Evidence, MeasureName, Performance, PerformanceMeasure, make_measure
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels, relative_loss
 from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
-from robustlab.tables import Table, Tabular
 from robustlab.uncertainty.blocks import Block
 
 PATIENCE = 3  # orders tried after the first that loses too much: the loss is not monotone in the order

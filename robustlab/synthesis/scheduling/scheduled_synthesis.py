@@ -70,6 +70,7 @@ class LPVGain(PeakGain, Traced):
     reason: str  # method of the proof, or reason of its failure
 
     unsaved: ClassVar[tuple[str, ...]] = ("model",)
+    derived: ClassVar[tuple[str, ...]] = ("scope",)
     unstable: ClassVar[str] = "infinite: a frozen model is not stable"
 
     @property
@@ -106,9 +107,6 @@ class LPVGain(PeakGain, Traced):
 
     def evidence(self) -> Facts:
         return [("holds", self.scope), ("Lyapunov function", self.lyapunov), ("how", self.reason)]
-
-    def to_json(self) -> dict[str, Any]:
-        return {**super().to_json(), "scope": self.scope}
 
 
 @error_context("lpv_gain")

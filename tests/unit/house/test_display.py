@@ -13,13 +13,12 @@ import shown_objects
 from matplotlib.axes import Axes
 
 import robustlab as rl
+from robustlab import errors
 from robustlab.display import LINES, Displayable
 from robustlab.errors import DependencyMissing, InputError
-from robustlab.files import records
 from robustlab.report import DRAWINGS
-from robustlab.result import Result, Status, plain
+from robustlab.result import Result, Status, Tabular, plain
 from robustlab.synthesis import Design
-from robustlab.tables import Tabular
 
 mpl.use("Agg")
 HOSTILE = "<script>alert(1)</script> & \x1b[31m \u202e $x$"
@@ -205,7 +204,7 @@ def test_tables_become_frames(name, make):
 
 
 def test_without_pandas_the_error_has_the_command_to_install_it(make, monkeypatch):
-    monkeypatch.setattr(records.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(errors, "find_spec", lambda name: None)
     with pytest.raises(DependencyMissing, match="needs the package") as error:
         make("Margin").to_pandas()
     assert "robustlab[frames]" in str(error.value)

@@ -16,7 +16,7 @@ from robustlab.recipe import steps  # loads the registry
 ROOT = Path(rl.__file__).parent
 RAISED = {"InputError", "UsageError", "NoTrustworthyNumber", "EnvironmentFault", "UnitMismatch"}
 # Files of the command line, of stores that it alone makes, and of recipes, whose files it alone runs.
-assert steps.models
+assert steps.BASES
 COMMAND_ONLY = ("cli", "campaign", "recipe")
 
 
