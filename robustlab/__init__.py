@@ -26,7 +26,7 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
     },
     "uncertainty": {
         "uncertainty.blocks": "RealScalar ComplexScalar FullBlock ParameterRange",
-        "uncertainty.lft": "UncertainModel star",
+        "uncertainty.lft": "UncertainModel lft",
         "uncertainty.elementwise": "elementwise",
         "uncertainty.parametric": "parametric",
         "uncertainty.frequency_responses": "UncertainFrequencyData frequency_data",

@@ -119,11 +119,11 @@ def discovery() -> Any:
 
 @cache
 def campaign(folder: str) -> Any:
-    from robustlab.campaign import CampaignSettings, Crew, run_campaign
+    from robustlab.campaign import CampaignSettings, WorkerOptions, run_campaign
 
     settings = CampaignSettings("peak-deviation", 200, u={"u": 42.0}, t_end=0.1, points=51)
     path = Path(folder) / "campaign.sqlite"
-    return run_campaign(uncertain_motor(), settings, path, crew=Crew(workers=1), limit=10.0)
+    return run_campaign(uncertain_motor(), settings, path, crew=WorkerOptions(workers=1), limit=10.0)
 
 
 def four_models() -> list[rl.StateSpaceModel]:
@@ -236,8 +236,8 @@ OBJECTS: dict[str, Any] = {
     "ClassicalMargins": lambda: rl.classical_margins(lag()),
     "Zeros": lambda: rl.zeros(lag()),
     "Verified": lambda: rl.verify(rl.peak_gain(lag())),
-    "IqcGain": lambda: rl.peak_gain(loop(), natures={"k": rl.Varying(0.1)}),
-    "IqcStability": lambda: rl.robust_stability(first_order(), natures={"pole": rl.Varying()}, order=0),
+    "IqcGain": lambda: rl.peak_gain(loop(), block_types={"k": rl.Varying(0.1)}),
+    "IqcStability": lambda: rl.robust_stability(first_order(), block_types={"pole": rl.Varying()}, order=0),
     "H2Norm": lambda: rl.h2(problem(), 1, 1).norm,
     "StructuralTest": lambda: rl.controllability(problem()),
     "HinfSynthesis": mixsyn,

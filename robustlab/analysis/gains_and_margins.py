@@ -26,7 +26,7 @@ from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 
 MODEL, SET, DELAYED = "a model", "an uncertain model", "a model with exact delays"
-NATURES, FREQUENCIES, LPV, EFFECTS = "blocks with natures", "given frequencies", "an LPV model", "a plant with effects"
+BLOCK_TYPES, FREQUENCIES, LPV, EFFECTS = "blocks with block_types", "given frequencies", "an LPV model", "a plant with effects"
 
 OWN = "mu_analysis.margins."
 GAIN = {
@@ -34,7 +34,7 @@ GAIN = {
     DELAYED: (f"{OWN}delay_margins.delay_gain", "inputs outputs effort"),
     SET: ("mu_analysis.worst_case_gain", "inputs outputs omega tolerance seed effort time_limit"),
     FREQUENCIES: (f"{OWN}at_frequencies.worst_case_gain_at", "frequency inputs outputs seed"),
-    NATURES: ("iqc.analysis.iqc_gain", "natures inputs outputs order pole effort time_limit"),
+    BLOCK_TYPES: ("iqc.analysis.iqc_gain", "block_types inputs outputs order pole effort time_limit"),
     LPV: ("synthesis.scheduling.scheduled_synthesis.lpv_gain", "lyapunov effort time_limit"),
     EFFECTS: (
         "iqc.analysis.effect_gain", "controller outputs amplitude stick_speed sign order effort time_limit"
@@ -46,7 +46,7 @@ STABILITY = {
     SET: OF_SET,
     DELAYED: (f"{OWN}delay_margins.delay_stability", "effort"),
     FREQUENCIES: (f"{OWN}at_frequencies.robust_stability_at", "frequency seed"),
-    NATURES: ("iqc.analysis.iqc_stability", "natures order pole effort time_limit"),
+    BLOCK_TYPES: ("iqc.analysis.iqc_stability", "block_types order pole effort time_limit"),
 }
 DISK = {
     MODEL: (f"{OWN}disk_margin.disk_margin", "at skew sign seed effort time_limit"),
@@ -71,9 +71,9 @@ HINTS = {
 }  # fmt: skip
 
 
-def kind_of(*systems: Any, natures: Any = None, frequency: Any = None) -> str:
-    if natures is not None:
-        return NATURES
+def kind_of(*systems: Any, block_types: Any = None, frequency: Any = None) -> str:
+    if block_types is not None:
+        return BLOCK_TYPES
     if frequency is not None or any(isinstance(one, UncertainFrequencyData) for one in systems):
         return FREQUENCIES
     if any(isinstance(one, DelayedModel) for one in systems):
@@ -119,7 +119,7 @@ def peak_gain(
     norm: Literal["hinf", "linf"] | None = None,
     band: tuple[float, float] | None = None,
     frequency: ArrayLike | None = None,
-    natures: Mapping[Any, Any] | None = None,
+    block_types: Mapping[Any, Any] | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     omega: ArrayLike | None = None,
@@ -155,7 +155,7 @@ def peak_gain(
     norm, band, frequency
         Of a model: ``"linf"``, the peak over the axis of what may be unstable; (low, high) in rad/s: the peak there.
         Frequencies in rad/s of the largest gain, without any claim between them; a stable nominal system is assumed.
-    natures, order, pole
+    block_types, order, pole
         Name of a block -> `Varying` or `Nonlinearity`, or (output, input) -> `Nonlinearity`, a law that drives that
         input, by integral quadratic constraints with filters ``a / (s + a)`` up to this power (0..8) and with this a in
         rad/s.
@@ -192,7 +192,7 @@ def peak_gain(
     (2.0, 0.8944)
     """
     given = dict(locals())
-    kind = kind_of(given.pop("system"), natures=natures, frequency=frequency)
+    kind = kind_of(given.pop("system"), block_types=block_types, frequency=frequency)
     if kind in (MODEL, DELAYED, SET, FREQUENCIES):
         system = _selected(system, given.pop("inputs"), given.pop("outputs"))
     return ask("peak_gain", GAIN, kind, (system,), given, GAIN_HINTS)
@@ -222,7 +222,7 @@ def gain_of_model(
 def robust_stability(
     system: Any,
     *,
-    natures: Mapping[Any, Any] | None = None,
+    block_types: Mapping[Any, Any] | None = None,
     frequency: ArrayLike | None = None,
     omega: ArrayLike | None = None,
     tolerance: float | None = None,
@@ -245,8 +245,8 @@ def robust_stability(
     Parameters
     ----------
     system
-        An UncertainModel, with ``natures`` also a model, a DelayedModel, or UncertainFrequencyData.
-    natures, order, pole
+        An UncertainModel, with ``block_types`` also a model, a DelayedModel, or UncertainFrequencyData.
+    block_types, order, pole
         As in `peak_gain`: blocks that vary or are nonlinear. Empty: the same proof of constant blocks.
     frequency
         Frequencies in rad/s of the margins, without any claim between them; a stable nominal system is assumed.
@@ -260,7 +260,7 @@ def robust_stability(
     Returns
     -------
     StabilityMargin
-        Both bounds with status and evidence: a `Margin`, an `IqcStability` with natures, a `MarginAt` at frequencies, a
+        Both bounds with status and evidence: a `Margin`, an `IqcStability` with block_types, a `MarginAt` at frequencies, a
         `DelayStability` with delays.
 
     Raises
@@ -281,7 +281,7 @@ def robust_stability(
     given = dict(locals())
     for name in ("system", "seed", "effort"):
         del given[name]
-    kind = kind_of(system, natures=natures, frequency=frequency)
+    kind = kind_of(system, block_types=block_types, frequency=frequency)
     return ask("robust_stability", STABILITY, kind, (system,), given, HINTS, seed=seed, effort=effort)
 
 

@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "evaluation": "TILE CampaignSettings Evaluator Identity Rows",
-        "runs": "CampaignResult Crew read_campaign resume_campaign run_campaign saved_samples",
+        "runs": "CampaignResult WorkerOptions read_campaign resume_campaign run_campaign saved_samples",
         "store": "Store",
     },
 )

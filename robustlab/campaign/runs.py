@@ -225,7 +225,7 @@ EMPTY_SECONDS = 60.0  # to wait for the first worker of a cluster
 
 
 @dataclass(frozen=True)
-class Crew:
+class WorkerOptions:
     """Workers of a campaign; the samples do not depend on them."""
 
     workers: int | None = None  # processes on this machine; one per processor where omitted
@@ -236,7 +236,7 @@ class Crew:
             checks.whole("campaign: workers", self.workers, 1)
 
 
-ALL_PROCESSORS = Crew()
+ALL_PROCESSORS = WorkerOptions()
 
 
 def run_campaign(
@@ -244,7 +244,7 @@ def run_campaign(
     settings: CampaignSettings,
     store: str | Path,
     *,
-    crew: Crew = ALL_PROCESSORS,
+    options: WorkerOptions = ALL_PROCESSORS,
     existing: Literal["resume", "restart"] = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -267,13 +267,13 @@ def run_campaign(
         else:
             opened = Store.open(path, write=True)
             _same_campaign(opened, identity)
-        return _work(opened, evaluator, crew, limit, progress)
+        return _work(opened, evaluator, options, limit, progress)
 
 
 def resume_campaign(
     store: str | Path,
     *,
-    crew: Crew = ALL_PROCESSORS,
+    options: WorkerOptions = ALL_PROCESSORS,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -284,7 +284,7 @@ def resume_campaign(
         opened = Store.open(path, write=True)
         old = opened.identity
         _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
-        return _work(opened, _evaluator(opened), crew, limit, progress)
+        return _work(opened, _evaluator(opened), options, limit, progress)
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
@@ -302,7 +302,7 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 def _work(
-    store: Store, evaluator: Evaluator, crew: Crew, limit: float | None, progress: Callable[[int], None]
+    store: Store, evaluator: Evaluator, options: WorkerOptions, limit: float | None, progress: Callable[[int], None]
 ) -> CampaignResult:
     """Complete an open, locked store, check its worst sample, read and close it."""
     finished, n, before = False, evaluator.settings.n, sum(store.counts())
@@ -310,7 +310,7 @@ def _work(
         progress(before)
         if before < n:
             started = (
-                _on_cluster(crew.cluster) if crew.cluster is not None else _on_this_machine(crew.workers, n - before)
+                _on_cluster(options.cluster) if options.cluster is not None else _on_this_machine(options.workers, n - before)
             )
             with started as workers:
                 compute_missing(store, evaluator, workers, progress)

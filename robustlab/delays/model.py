@@ -40,7 +40,7 @@ from robustlab.uncertainty.lft import (
     ones,
     parallel,
     product,
-    star,
+    lft,
     unique_names,
     upper_lft,
 )
@@ -272,7 +272,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         if isinstance(k, StateSpaceModel):  # without units, which a controller's file may not state
             ins, outs = [f"k.y{i}" for i in range(k.n_inputs)], [f"k.u{i}" for i in range(k.n_outputs)]
             k = StateSpaceModel(k.A, k.B, k.C, k.D, k.dt, ins, outs)
-        return as_delayed(star(self, k, k.n_inputs, k.n_outputs), "close")
+        return as_delayed(lft(self, k, k.n_inputs, k.n_outputs), "close")
 
     def to_json(self) -> dict[str, object]:
         return {"H": self.H, "delays": self.delays}

@@ -6,7 +6,7 @@ __all__, __getattr__ = lazily(
     __name__,
     {
         "analysis": "IqcGain IqcProof IqcStability posed",
-        "block_types": "Nature Nonlinearity Varying",
+        "block_types": "BlockType Nonlinearity Varying",
         "inequality": "Filtered",
     },
 )

@@ -24,7 +24,7 @@ from robustlab.checks import whole
 from robustlab.display import Facts, listed, member, number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
 from robustlab.feedback import feedback_loop
-from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
+from robustlab.iqc.block_types import BlockType, Nonlinearity, Varying
 from robustlab.iqc.inequality import Filtered, Form, Inequality, Point, filter_order, law, linear
 from robustlab.mu_analysis.axis.margin import StabilityMargin
 from robustlab.norms import PeakGain, balancing_units, hinf_norm
@@ -58,7 +58,7 @@ STICK = 1.2732395447351628
 ODD_INPUTS = ("input-saturation", "input-dead-zone")
 
 # Name of a block, or (output, input) of a law -> its type.
-Natures = Mapping[Any, Nature]
+BlockTypes = Mapping[Any, BlockType]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Posed(Evidence):
     model: StateSpaceModel  # continuous; its Delta is that of the blocks, and for a law the gain itself
     blocks: tuple[Block, ...]
     ranges: Array  # ends of the entries of Delta, (k, 2); -1, 1 of blocks that are no real number
-    natures: tuple[Nature | None, ...]  # type of each block, in Delta's unit; None: constant
+    block_types: tuple[BlockType | None, ...]  # type of each block, in Delta's unit; None: constant
     words: Mapping[str, str]  # block -> its type in words
     conditions: tuple[str, ...]  # the motions for which a law is in its sector, where not all
 
@@ -95,7 +95,7 @@ class IqcGain(PeakGain):
     """
 
     delta: Mapping[str, float]  # that member: one normalised value per block; 0 is the middle of a range
-    nature: Mapping[str, str]  # block -> its type in words
+    block_types: Mapping[str, str]  # block -> its type in words
     proof: IqcProof | None  # of ``upper``; None where nothing was proved
     posed: Posed = field(kw_only=True)  # the problem, for another proof
 
@@ -105,7 +105,7 @@ class IqcGain(PeakGain):
         return [] if self.proof is None else [claim_of(self.posed, self.proof, gamma=self.upper)]
 
     def evidence(self) -> Facts:
-        return [_blocks(self.nature), ("worst linear member", member(self.delta)), *_proof_facts(self.proof)]
+        return [_blocks(self.block_types), ("worst linear member", member(self.delta)), *_proof_facts(self.proof)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +117,7 @@ class IqcStability(StabilityMargin):
     ``upper`` is inf. TIMEOUT: the time limit ended the search; ``lower`` holds.
     """
 
-    nature: Mapping[str, str]
+    block_types: Mapping[str, str]
     conditions: tuple[str, ...]
     proof: IqcProof | None
     posed: Posed = field(kw_only=True)
@@ -140,14 +140,14 @@ class IqcStability(StabilityMargin):
         return [
             ("stable as given", "proved" if self.stable else "not proved"),
             ("margin", f"{number(self.lower)} (proved)"),
-            _blocks(self.nature),
+            _blocks(self.block_types),
             ("holds", listed(self.conditions)),
             *_proof_facts(self.proof),
         ]
 
 
-def _blocks(nature: Mapping[str, str]) -> tuple[str, str]:
-    return "blocks", listed(f"{name}: {text}" for name, text in nature.items())
+def _blocks(block_type: Mapping[str, str]) -> tuple[str, str]:
+    return "blocks", listed(f"{name}: {text}" for name, text in block_type.items())
 
 
 def _proof_facts(proof: IqcProof | None) -> Facts:
@@ -161,7 +161,7 @@ def _proof_facts(proof: IqcProof | None) -> Facts:
 @error_context("iqc_gain")
 def iqc_gain(
     model: Any,
-    natures: Natures | None = None,
+    block_types: BlockTypes | None = None,
     inputs: Sequence[str] | None = None,
     outputs: Sequence[str] | None = None,
     order: int = 2,
@@ -170,7 +170,7 @@ def iqc_gain(
     effort: float = 1.0,
 ) -> IqcGain:
     """`robustlab.peak_gain` with blocks that are nonlinear or vary with time."""
-    problem, budget = posed("iqc_gain", model, natures, order, pole, time_limit, effort, (inputs, outputs))
+    problem, budget = posed("iqc_gain", model, block_types, order, pole, time_limit, effort, (inputs, outputs))
     if not problem.n_w or not problem.n_z:
         raise InputError("iqc_gain", "no input and output except those of the blocks", "a performance channel")
     with one_thread():
@@ -196,14 +196,14 @@ def _status(proved: bool, budget: Budget) -> Status:
 @error_context("iqc_stability")
 def iqc_stability(
     model: Any,
-    natures: Natures | None = None,
+    block_types: BlockTypes | None = None,
     order: int = 2,
     pole: float | None = None,
     time_limit: float | None = None,
     effort: float = 1.0,
 ) -> IqcStability:
-    """`robustlab.robust_stability` with ``natures``, by integral quadratic constraints; rate bounds do not grow."""
-    problem, budget = posed("iqc_stability", model, natures, order, pole, time_limit, effort)
+    """`robustlab.robust_stability` with ``block_types``, by integral quadratic constraints; rate bounds do not grow."""
+    problem, budget = posed("iqc_stability", model, block_types, order, pole, time_limit, effort)
     low, high, size = 0.0, math.inf, 1.0  # the largest that is proved, the smallest that is not, the next
     proof: IqcProof | None = None
     with one_thread():
@@ -260,16 +260,16 @@ def effect_gain(
     inputs = [s.name for s in plant.inputs]
     around, s, source = feedback_loop(made.model.select(inputs), controller, sign, "effect_gain")
     loop = made.model.select(inputs).feedback(around, s)
-    natures = _natures(plant, made, amplitude or {}, slow)
-    found = iqc_gain(loop, natures, order=order, time_limit=time_limit, effort=effort)
+    block_types = _block_types(plant, made, amplitude or {}, slow)
+    found = iqc_gain(loop, block_types, order=order, time_limit=time_limit, effort=effort)
     left = {**made.left_out, **{n.name: "a bounded error: an input, no gain" for n in made.noise}}
     return replace(found, notes=(f"loop: {source}", *(f"not in it: {name}: {why}" for name, why in left.items())))
 
 
-def _natures(
+def _block_types(
     plant: ExtendedPlant, made: EffectBlocks, amplitude: Mapping[str, float], slow: Mapping[str, float]
-) -> dict[str, Nature]:
-    effects, found = {e.key: e for e in plant.effects}, dict[str, Nature]()
+) -> dict[str, BlockType]:
+    effects, found = {e.key: e for e in plant.effects}, dict[str, BlockType]()
     for block in made.model.blocks:
         e = effects.get(block.name.rstrip("'"))
         if e is None or block.parameter is None:
@@ -295,26 +295,26 @@ def _natures(
 
 def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size: float = 1.0) -> Claim:
     """Return the claim that the gain is at most ``gamma``, or without one that the set times ``size`` is stable."""
-    M, blocks, natures = posed.model, posed.blocks, posed.natures
+    M, blocks, block_types = posed.model, posed.blocks, posed.block_types
     q, p = UncertainModel(M, blocks).delta_shape if gamma is None else (M.n_inputs, M.n_outputs)
     level = {"size": np.array(size)} if gamma is None else {"gamma": np.array(gamma)}
-    slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in natures]
+    slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in block_types]
     kinds = [
         (3 if n.slope else 2, int(n.odd), int(n.steady)) if isinstance(n, Nonlinearity) else (int(n is not None), 0, 0)
-        for n in natures
+        for n in block_types
     ]
     return Claim("iqc-size" if gamma is None else "iqc-gain", {
         "A": M.A, "B": M.B[:, :q], "C": M.C[:p], "D": M.D[:p, :q], "dt": np.array(0.0),
         "blocks": block_rows(blocks), "nature": np.array(kinds, dtype=np.int64),
         "ranges": posed.ranges, "slope": np.array(slopes, dtype=float).reshape(-1, 2),
-        "rate": np.array([n.rate if isinstance(n, Varying) else np.inf for n in natures], dtype=float),
+        "rate": np.array([n.rate if isinstance(n, Varying) else np.inf for n in block_types], dtype=float),
         "pole": np.array(proof.pole), "order": np.array(proof.order, dtype=np.int64), "P": proof.P,
         "multipliers": proof.unknowns, **level,
     })  # fmt: skip
 
 
 def posed(
-    where: str, model: Any, natures: Natures | None, order: int, pole: float | None, time_limit: float | None,
+    where: str, model: Any, block_types: BlockTypes | None, order: int, pole: float | None, time_limit: float | None,
     effort: float, channel: tuple[Sequence[str] | None, Sequence[str] | None] = (None, None),
 ) -> tuple[Problem, Budget]:  # fmt: skip
     """Check a public function's arguments and return the problem and its budget; channel: names of inputs, outputs."""
@@ -322,19 +322,19 @@ def posed(
     if pole is not None:
         checked(f"{where}: pole", pole, "a positive number in rad/s", above=0)
     budget = search_budget(where, WORK, effort, time_limit)
-    if natures is not None and not isinstance(natures, Mapping):
-        raise InputError(f"{where}: natures", f"{natures!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
-    given = dict(natures or {})
+    if block_types is not None and not isinstance(block_types, Mapping):
+        raise InputError(f"{where}: block_types", f"{block_types!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
+    given = dict(block_types or {})
     laws: dict[Any, Any] = {key: one for key, one in given.items() if isinstance(key, tuple)}
     for key, one in laws.items():
         if len(key) != 2 or not isinstance(one, Nonlinearity):
             raise InputError(f"{where}: {key!r}", f"{one!r}", "(output, input) -> a Nonlinearity")
     opened = _opened(model, laws).select(*channel)
-    named: dict[str, Nature] = {":".join(k) if isinstance(k, tuple) else k: v for k, v in given.items()}
+    named: dict[str, BlockType] = {":".join(k) if isinstance(k, tuple) else k: v for k, v in given.items()}
     if opened.M.is_discrete:
         raise InputError(where, f"a discrete model (dt = {opened.dt:g} s)", "a continuous one", "rl.d2c makes one")
     if not opened.blocks:
-        raise InputError(where, "no block at all", "an uncertain model, or a nature with signals")
+        raise InputError(where, "no block at all", "an uncertain model, or a block type with signals")
     known = [b.name for b in opened.blocks]
     for name in (name for name in named if name not in known):
         expected = f"one of {listed(known)}"
@@ -377,45 +377,45 @@ def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> Uncerta
     return UncertainModel(wide, [*given.blocks, *blocks])
 
 
-def _in_delta(where: str, block: Block, nature: Nature | None, drives: bool) -> Nature | None:
-    """Check the nature against the block and return it in Delta's unit; ``drives``: a law of signals, in their own."""
+def _in_delta(where: str, block: Block, block_type: BlockType | None, drives: bool) -> BlockType | None:
+    """Check the block type against the block and return it in Delta's unit; ``drives``: a law of signals, in their own."""
     name, span = f"{where}: {block.name!r}", block.parameter
     if not (block.is_scalar or block.is_ball):
         raise InputError(name, f"a {type(block).__name__}", "a scalar block, or a full one of gain one")
     nominal, radius = (0.0, 1.0) if span is None else (span.nominal, span.radius)
-    if isinstance(nature, Nonlinearity):
+    if isinstance(block_type, Nonlinearity):
         if drives:
-            return nature
+            return block_type
         if not (block.is_real and block.rows == 1):
             raise InputError(name, f"a {type(block).__name__} of {block.rows} x {block.cols}", "a real one, once")
         low, high = block.ends
-        if not np.allclose(nature.sector, (low, high), rtol=1e-9, atol=1e-12 * (high - low)):
-            raise InputError(name, f"a law of sector {nature.sector}", f"the block's own range, {low:g} .. {high:g}")
+        if not np.allclose(block_type.sector, (low, high), rtol=1e-9, atol=1e-12 * (high - low)):
+            raise InputError(name, f"a law of sector {block_type.sector}", f"the block's own range, {low:g} .. {high:g}")
         sector = block.interval or (-1.0, 1.0)
-        slope = nature.slope and tuple((end - nominal) / radius for end in nature.slope)
+        slope = block_type.slope and tuple((end - nominal) / radius for end in block_type.slope)
         # A sector is within the slope, also after rounding.
         inside = (min(slope[0], sector[0]), max(slope[1], sector[1])) if slope else None
-        return replace(nature, sector=sector, slope=inside)
-    if isinstance(nature, Varying):
-        if np.isfinite(nature.rate) and not block.is_real:
-            found = f"a rate of {nature.rate:g} for a {type(block).__name__}"
+        return replace(block_type, sector=sector, slope=inside)
+    if isinstance(block_type, Varying):
+        if np.isfinite(block_type.rate) and not block.is_real:
+            found = f"a rate of {block_type.rate:g} for a {type(block).__name__}"
             raise InputError(name, found, "a rate of a real parameter", "Varying() for an operator that varies")
-        return Varying(nature.rate / abs(radius))
-    if nature is not None:
-        raise InputError(name, f"a {type(nature).__name__}", "Varying or Nonlinearity")
-    return nature
+        return Varying(block_type.rate / abs(radius))
+    if block_type is not None:
+        raise InputError(name, f"a {type(block_type).__name__}", "Varying or Nonlinearity")
+    return block_type
 
 
-def _in_words(block: Block, nature: Nature | None) -> str:
+def _in_words(block: Block, block_type: BlockType | None) -> str:
     unit = "delta" if block.parameter is None else block.parameter.unit or "1"
-    if nature is None:
+    if block_type is None:
         return "constant real parameter" if block.is_real else "time-invariant dynamics"
-    if isinstance(nature, Varying):
-        return f"varies by at most {nature.rate:g} {unit}/s" if np.isfinite(nature.rate) else "varies arbitrarily fast"
-    low, high = nature.sector
-    text = f"{'odd ' if nature.odd else ''}nonlinearity, sector [{low:.4g}, {high:.4g}]"
-    text += f", slope [{nature.slope[0]:.4g}, {nature.slope[1]:.4g}]" if nature.slope else ""
-    return text if nature.steady else f"{text}, varies"
+    if isinstance(block_type, Varying):
+        return f"varies by at most {block_type.rate:g} {unit}/s" if np.isfinite(block_type.rate) else "varies arbitrarily fast"
+    low, high = block_type.sector
+    text = f"{'odd ' if block_type.odd else ''}nonlinearity, sector [{low:.4g}, {high:.4g}]"
+    text += f", slope [{block_type.slope[0]:.4g}, {block_type.slope[1]:.4g}]" if block_type.slope else ""
+    return text if block_type.steady else f"{text}, varies"
 
 
 class Problem:
@@ -441,20 +441,20 @@ class Problem:
                 where, f"unstable with all blocks at their middles (pole {worst.real:.6g}{worst.imag:+.6g}j)",
                 "a stable model there", "no proof holds for a class with an unstable member: take narrower ranges",
             )  # fmt: skip
-        self.n_w, self.n_z, self.natures = M.n_inputs - self.q, M.n_outputs - self.p, list[Nature | None]()
-        for block, nature, m, h, (_, z) in zip(posed.blocks, posed.natures, middle, half, slices, strict=True):
-            if isinstance(nature, Nonlinearity):
-                if nature.slope is None and M.D[z, : self.q].any():
+        self.n_w, self.n_z, self.block_types = M.n_inputs - self.q, M.n_outputs - self.p, list[BlockType | None]()
+        for block, block_type, m, h, (_, z) in zip(posed.blocks, posed.block_types, middle, half, slices, strict=True):
+            if isinstance(block_type, Nonlinearity):
+                if block_type.slope is None and M.D[z, : self.q].any():
                     raise InputError(
                         f"{where}: {block.name!r}", "an algebraic loop around a law whose slope has no bound",
                         "a bound of the slope, or a model in which the law does not act on its own input without delay",
                     )  # fmt: skip
-                slope = nature.slope and ((nature.slope[0] - m) / h, (nature.slope[1] - m) / h)
-                nature = replace(nature, sector=(-1.0, 1.0), slope=slope)
-            self.natures.append(Varying(nature.rate / h) if isinstance(nature, Varying) else nature)
+                slope = block_type.slope and ((block_type.slope[0] - m) / h, (block_type.slope[1] - m) / h)
+                block_type = replace(block_type, sector=(-1.0, 1.0), slope=slope)
+            self.block_types.append(Varying(block_type.rate / h) if isinstance(block_type, Varying) else block_type)
         speed = np.abs(poles[np.abs(poles) > 0])
         self.speed = float(np.median(speed)) if len(speed) else 1.0
-        filtered = any(filter_order(nature, order) for nature in self.natures)
+        filtered = any(filter_order(block_type, order) for block_type in self.block_types)
         # Of the filters in rad/s, and the highest power of a / (s + a).
         self.poles = [self.speed * t for t in (POLES if filtered else (1.0,))] if pole is None else [pole]
         self.order = order
@@ -553,8 +553,8 @@ class Problem:
         if M.n_states:
             balance, rate = balancing_units(StateSpaceModel(M.A, B, C, D))
             units = balance * scales / np.sqrt(rate)
-        parts = list(zip(self.middle.blocks, self.natures, block_slices(self.middle.blocks), strict=True))
-        orders = [filter_order(nature, self.order) for _, nature, _ in parts]
+        parts = list(zip(self.middle.blocks, self.block_types, block_slices(self.middle.blocks), strict=True))
+        orders = [filter_order(block_type, self.order) for _, block_type, _ in parts]
         rated = [k * b.cols if isinstance(n, Varying) else 0 for k, (b, n, _) in zip(orders, parts, strict=True)]
         filters = sum(k * (b.cols + b.rows) for k, (b, *_) in zip(orders, parts, strict=True))
         if M.n_states + filters > STATES:
@@ -562,18 +562,18 @@ class Problem:
         F = Filtered(M.A, B, C, D, filters, sum(rated))
         found: dict[str, tuple[str, Form, float]] = {}
         inputs, added = np.ones(q + n_w), []
-        for order, extra, (block, nature, (w, z)) in zip(orders, rated, parts, strict=True):
+        for order, extra, (block, block_type, (w, z)) in zip(orders, rated, parts, strict=True):
             # A power of two that balances the gains into and out of the channels: without it nothing is proved of the
             # servo axis with a saturation.
             ins, outs = np.linalg.norm(B[:, w] / units[: len(B), None]) / rate, np.linalg.norm(C[z] * units[: len(B)])
             d = 2.0 ** round(0.5 * math.log2(ins / outs)) if ins and outs else 1.0
-            if isinstance(nature, Nonlinearity):
+            if isinstance(block_type, Nonlinearity):
                 free = not D[z, :q].any(), not D[z].any()
-                kinds, form = law(F, z, F.input(w), order, pole, nature, free)
+                kinds, form = law(F, z, F.input(w), order, pole, block_type, free)
             else:
                 kinds, form = linear(
                     F, F.outputs[z], F.input(w), order, pole, scalar=block.is_scalar, real=block.is_real,
-                    rate=np.inf if nature is None else nature.rate / size,
+                    rate=np.inf if block_type is None else block_type.rate / size,
                 )  # fmt: skip
             found[block.name] = kinds, form, d**2
             units = np.append(units, np.full(order * (block.cols + block.rows), 1 / d))

@@ -123,7 +123,7 @@ class Nonlinearity:
         return cls((0.0, gain), (0.0, gain), odd=True, holds=f"sticking as creep below {stick_speed:g}")
 
 
-Nature = Varying | Nonlinearity
+BlockType = Varying | Nonlinearity
 
 
 def _is_range(ends: Any) -> bool:

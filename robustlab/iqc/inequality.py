@@ -22,7 +22,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import Budget
 from robustlab.conic import ACCEPTED, Cone, solve, triangle
-from robustlab.iqc.block_types import Nature, Nonlinearity, Varying
+from robustlab.iqc.block_types import BlockType, Nonlinearity, Varying
 
 STEPS = 200
 # Least eigenvalue of every multiplier's unknowns as a share of the inequality's slack.
@@ -100,11 +100,11 @@ class Unknowns:
 Form = Callable[[Unknowns], Array]  # the quadratic form v^T M v over (x, u)
 
 
-def filter_order(nature: Nature | None, order: int) -> int:
+def filter_order(block_type: BlockType | None, order: int) -> int:
     """Return the highest power of a filter that the constraints of a block allow."""
-    if isinstance(nature, Varying):
-        return order if math.isfinite(nature.rate) else 0
-    return order if nature is None or (nature.slope is not None and nature.steady) else 0
+    if isinstance(block_type, Varying):
+        return order if math.isfinite(block_type.rate) else 0
+    return order if block_type is None or (block_type.slope is not None and block_type.steady) else 0
 
 
 def linear(
@@ -133,19 +133,19 @@ def linear(
 
 
 def law(
-    F: Filtered, rows: slice, w: Array, order: int, pole: float, nature: Nonlinearity, free: tuple[bool, bool]
+    F: Filtered, rows: slice, w: Array, order: int, pole: float, block_type: Nonlinearity, free: tuple[bool, bool]
 ) -> tuple[str, Form]:
     """Return the kinds and the form of a memoryless law of sector [-1, 1].
 
     ``free``: its input has no direct term from any block, from any input. If it has, only constraints are used that
     hold for differences of two signals too: these make the loop well posed.
     """
-    z, popov = F.outputs[rows], free[1] and nature.steady
+    z, popov = F.outputs[rows], free[1] and block_type.steady
     rate = F.derivative(rows) if popov else z
-    m, k = nature.slope or (0.0, 0.0)
+    m, k = block_type.slope or (0.0, 0.0)
     p, q = k * z - w, w - m * z
     behind_q, behind_p = F.stages(q, pole, order), F.stages(p, pole, order)
-    signs = (1.0, -1.0) if nature.odd else (1.0,)
+    signs = (1.0, -1.0) if block_type.odd else (1.0,)
 
     def form(x: Unknowns) -> Array:
         half = np.zeros((F.width, F.width))
@@ -153,7 +153,7 @@ def law(
             half += 0.5 * x.definite(1)[0, 0] * (z.T @ z - w.T @ w)
         if popov:
             half += x.take(1)[0] * rate.T @ w
-        if nature.slope is not None:
+        if block_type.slope is not None:
             direct, mass = x.take(1)[0], 0.0
             half += direct * p.T @ q
             for one, behind in ((p, behind_q), (q, behind_p)) if order else ():  # both directions of time
@@ -164,7 +164,7 @@ def law(
             x.positive.append(np.array([[direct - mass]]))
         return half + half.T
 
-    falb = "" if nature.slope is None else "Zames-Falb" if order else "slope, static multiplier"
+    falb = "" if block_type.slope is None else "Zames-Falb" if order else "slope, static multiplier"
     return ", ".join(word for word in ("sector" * free[0], "Popov" * popov, falb) if word), form
 
 

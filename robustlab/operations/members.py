@@ -185,9 +185,9 @@ class WorkerOptions:
     cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
 
     def crew(self) -> Any:
-        from robustlab.campaign import Crew
+        from robustlab.campaign import WorkerOptions
 
-        return Crew(self.workers, self.cluster)
+        return WorkerOptions(self.workers, self.cluster)
 
 
 @contextmanager

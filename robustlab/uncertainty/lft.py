@@ -590,9 +590,9 @@ def inverse(g: UncertainModel) -> UncertainModel:
     return UncertainModel(of_system_matrix(rows, n, m.dt, *sides, m.states, "inverse"), g.blocks)
 
 
-@error_context("star")
+@error_context("lft")
 @carried_by_rank
-def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
+def lft(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
     r"""Return the Redheffer star product of two models.
 
     The last outputs of ``first`` drive the first inputs of ``second``, and its first outputs the last inputs of
@@ -623,21 +623,21 @@ def star(first: Any, second: Any, n_to_second: int | None = None, n_to_first: in
     ----------
     Zhou, Doyle, Glover (1996), section 10.3.
     """
-    a, b = as_uncertain(first, "star"), as_uncertain(second, "star")
+    a, b = as_uncertain(first, "lft"), as_uncertain(second, "lft")
     (a_in, a_out), (b_in, b_out) = ((len(m.inputs), len(m.outputs)) for m in (a, b))
     go = min(a_out, b_in) if n_to_second is None else n_to_second
     back = min(a_in, b_out) if n_to_first is None else n_to_first
-    whole("star: n_to_second", go, 0, min(a_out, b_in))
-    whole("star: n_to_first", back, 0, min(a_in, b_out))
+    whole("lft: n_to_second", go, 0, min(a_out, b_in))
+    whole("lft: n_to_first", back, 0, min(a_in, b_out))
     meet = [*zip(a.outputs[a_out - go :], b.inputs[:go], strict=True)]
-    same_units("star", [*meet, *zip(b.outputs[:back], a.inputs[a_in - back :], strict=True)])
+    same_units("lft", [*meet, *zip(b.outputs[:back], a.inputs[a_in - back :], strict=True)])
     n_u, n_y, v, o = a_in + b_in, a_out + b_out, a_in - back, a_out - go  # v, o: of the first that remain
     wiring = Wiring(
         K=ones(n_u, n_y, (v, a_out, back), (a_in, o, go)),
         E=ones(n_u, n_u - back - go, (0, 0, v), (a_in + go, v, b_in - go)),
         F=ones(n_y - go - back, n_y, (0, 0, o), (o, a_out + back, b_out - back)),
     )
-    return interconnected([a, b], wiring, a.inputs[:v] + b.inputs[go:], a.outputs[:o] + b.outputs[back:], "star")
+    return interconnected([a, b], wiring, a.inputs[:v] + b.inputs[go:], a.outputs[:o] + b.outputs[back:], "lft")
 
 
 def interconnected(

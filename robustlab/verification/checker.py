@@ -66,10 +66,10 @@ KINDS: Mapping[str, _Kind] = {
     "worst-gain-boxes": _Kind(
         lambda c, w: prove_mu_axis(as_performance(c), w, boxed=True), GAIN, "gamma", "worst-case gain <="),
     "iqc-size": _Kind(
-        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their natures within size times "
+        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their block_types within size times "
         "their ranges", "size", "size >="),
     "iqc-gain": _Kind(
-        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their natures", "gamma",
+        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their block_types", "gamma",
         "worst-case gain <="),
     "lpv-gain": _Kind(
         prove_parameters, "stable for all trajectories of the parameters within their ranges and rates", "gamma",

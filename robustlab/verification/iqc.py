@@ -27,7 +27,7 @@ CONSTANT, VARYING, SECTOR, SLOPE = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
-class Nature:
+class BlockType:
     """The type of a block, for a law whether it is odd and steady, and its numbers in the model's units."""
 
     kind: int
@@ -43,12 +43,12 @@ class Nature:
         return 0 if fast or self.kind == SECTOR or (self.kind == SLOPE and not self.steady) else order
 
 
-def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
+def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[BlockType]:
     """Read ``nature`` (k, 3): kind, odd, steady; ``ranges``, ``slope`` (k, 2), ``rate`` (k,)."""
     k = len(blocks)
     table, rates = whole(claim, "nature", (k, 3)).tolist(), real(claim, "rate", (k,), infinite=True).tolist()
     ranges, slopes = (real(claim, name, (k, 2)).tolist() for name in ("ranges", "slope"))
-    result: list[Nature] = []
+    result: list[BlockType] = []
     for block, (kind, odd, steady), (a, b), (m, n), rate in zip(blocks, table, ranges, slopes, rates, strict=True):
         number = block.kind == REAL
         fits = [
@@ -61,7 +61,7 @@ def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[Nature]:
         if not all(fits):
             found = f"{[kind, odd, steady]}, range {a}, {b}, slope {m}, {n}, rate {rate}"
             raise InputError("nature", f"{found} of a block of kind {block.kind}", "a class of the theorem")
-        result.append(Nature(kind, bool(odd), bool(steady), (a, b), (m, n), rate))
+        result.append(BlockType(kind, bool(odd), bool(steady), (a, b), (m, n), rate))
     return result
 
 
@@ -164,25 +164,25 @@ def linear(F: Filtered, block: Block, order: int, pole: float, rho: arb | None, 
 
 
 def law(
-    F: Filtered, block: Block, nature: Nature, order: int, pole: float, free: tuple[bool, bool], x: Multipliers
+    F: Filtered, block: Block, block_type: BlockType, order: int, pole: float, free: tuple[bool, bool], x: Multipliers
 ) -> Matrix:
     """Return the constraints of a law; ``free``: z has no direct term from any block, none from any input."""
     z, w = F.output(block.z), F.input(block.w)
     S = zeros(F.width, F.width)
-    if not free[0] and nature.kind == SECTOR:
+    if not free[0] and block_type.kind == SECTOR:
         raise InputError("nature", "a law without a slope that acts on its own input at once", "a law with a slope")
     if free[0]:
         S = S + (z.transpose() * z - w.transpose() * w) * arb(x.definite(1)[0, 0])
-    if free[1] and nature.steady:
+    if free[1] and block_type.steady:
         pair = F.derivative(block.z).transpose() * w * arb(x.take(1)[0])
         S = S + pair + pair.transpose()
-    if nature.kind == SECTOR:
+    if block_type.kind == SECTOR:
         return S
-    (a, b), (m, n) = nature.range, nature.slope
+    (a, b), (m, n) = block_type.range, block_type.slope
     middle, half = (arb(a) + arb(b)) / 2, (arb(b) - arb(a)) / 2
     p, q = z * ((arb(n) - middle) / half) - w, w - z * ((arb(m) - middle) / half)
     behind_q, behind_p, direct = F.stages(q, pole, order), F.stages(p, pole, order), arb(x.take(1)[0])
-    signs = (1, -1) if nature.odd else (1,)
+    signs = (1, -1) if block_type.odd else (1,)
     kernels = [[(sign, _kernel(x, order)) for sign in signs] for _ in range(2 if order else 0)]  # both ways of time
     x.positive = x.positive and bool(direct > sum((c for way in kernels for _, h in way for c in h), arb(0)))
     pair = p.transpose() * q * direct
@@ -225,12 +225,12 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
     if given.dt or rows > given.m or cols > given.p or (not gain and (rows, cols) != (given.m, given.p)):
         raise InputError("A .. D", f"{given.p} x {given.m}, dt {given.dt}", f"continuous, with {rows} w and {cols} z")
     blocks = placed(table, [1.0] * len(table))
-    natures, order, pole = read_natures(claim, blocks), int(whole(claim, "order", ())), scalar(claim, "pole")
+    block_types, order, pole = read_natures(claim, blocks), int(whole(claim, "order", ())), scalar(claim, "pole")
     if not 0 <= order <= HIGHEST:
         raise InputError("order", f"{order}", f"0 to {HIGHEST}")
     size, gamma = (1.0, scalar(claim, "gamma")) if gain else (scalar(claim, "size"), 0.0)
-    orders = [nature.order(order) for nature in natures]
-    rated = [n.kind == VARYING and k > 0 for n, k in zip(natures, orders, strict=True)]
+    orders = [block_type.order(order) for block_type in block_types]
+    rated = [n.kind == VARYING and k > 0 for n, k in zip(block_types, orders, strict=True)]
     kz, kw = ([s.stop - s.start for s in side] for side in ([b.z for b in blocks], [b.w for b in blocks]))
     filters = sum(k * (i + j) for k, i, j in zip(orders, kz, kw, strict=True))
     extra = sum(k * i for k, i, r in zip(orders, kz, rated, strict=True) if r)
@@ -239,7 +239,7 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
 
     def attempt() -> Verdict:
         free = [_free(model_of(claim), block.z, rows) for block in blocks]
-        G = _about_the_middles(model_of(claim), blocks, natures, rows, size)
+        G = _about_the_middles(model_of(claim), blocks, block_types, rows, size)
         if G is None:
             return not_proved("the set's middle was not proved to be well posed")
         verdict = stable(G, work)
@@ -247,10 +247,10 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
             return verdict
         F, x = Filtered(G, filters, extra), Multipliers(values, work)
         S = zeros(F.width, F.width)
-        for i, (block, nature) in enumerate(zip(blocks, natures, strict=True)):
-            rho = arb(nature.rate) * 2 / (arb(nature.range[1]) - arb(nature.range[0])) / arb(size) if rated[i] else None
-            if nature.kind in (SECTOR, SLOPE):
-                S = S + law(F, block, nature, orders[i], pole, free[i], x)
+        for i, (block, block_type) in enumerate(zip(blocks, block_types, strict=True)):
+            rho = arb(block_type.rate) * 2 / (arb(block_type.range[1]) - arb(block_type.range[0])) / arb(size) if rated[i] else None
+            if block_type.kind in (SECTOR, SLOPE):
+                S = S + law(F, block, block_type, orders[i], pole, free[i], x)
             else:
                 S = S + linear(F, block, orders[i], pole, rho, x)
         if x.at != len(values):
@@ -276,12 +276,12 @@ def _free(G: Model, z: slice, w: int) -> tuple[bool, bool]:
 
 
 def _about_the_middles(
-    G: Model, blocks: Sequence[Block], natures: Sequence[Nature], w: int, size: float
+    G: Model, blocks: Sequence[Block], block_types: Sequence[BlockType], w: int, size: float
 ) -> Model | None:
     """Return the model in feedback with the w unit blocks; None where it was not proved to be well posed."""
     z = blocks[-1].z.stop if blocks else 0
     rest = Block(FULL, slice(w, G.m), slice(z, G.p), 1.0)
-    inside = within_box(G, [*blocks, rest], [*(n.range for n in natures), (-1.0, 1.0)])
+    inside = within_box(G, [*blocks, rest], [*(n.range for n in block_types), (-1.0, 1.0)])
     if inside is None:
         return None
     scale = identity(G.m)

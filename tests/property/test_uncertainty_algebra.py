@@ -119,21 +119,21 @@ def test_star_product_and_both_lfts(seed, n1, n2, over, back, extra1, extra2):
     assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
     y_u, y_v = np.linalg.solve(loop, f21), np.linalg.solve(loop, f22 @ g12)
     wanted = np.block([[f11 + f12 @ g11 @ y_u, f12 @ (g12 + g11 @ y_v)], [g21 @ y_u, g22 + g21 @ y_v]])
-    assert_same(at(rl.star(f, g, over, back), values), wanted)
+    assert_same(at(rl.lft(f, g, over, back), values), wanted)
     inner = random_set(seed + 2, n2, back, over, "3")
     values = values_for(seed, f, g, inner)
     F, G, K = (at(x, values) for x in (f, g, inner))
     f11, f12, f21, f22 = F[:, :extra1, :extra2], F[:, :extra1, extra2:], F[:, extra1:, :extra2], F[:, extra1:, extra2:]
     loop = np.eye(over) - f22 @ K
     assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
-    assert_same(at(rl.star(f, inner, over, back), values), f11 + f12 @ K @ np.linalg.solve(loop, f21))
+    assert_same(at(rl.lft(f, inner, over, back), values), f11 + f12 @ K @ np.linalg.solve(loop, f21))
     k = random_set(seed + 3, n1, over, back, "4")  # an upper LFT: the inner one closes the first channels
     values = values_for(seed, g, k)
     G, K = at(g, values), at(k, values)
     g11, g12, g21, g22 = G[:, :back, :over], G[:, :back, over:], G[:, back:, :over], G[:, back:, over:]
     loop = np.eye(back) - g11 @ K
     assume(loop.size == 0 or np.linalg.cond(loop).max() < 1e3)
-    assert_same(at(rl.star(k, g, over, back), values), g22 + g21 @ K @ np.linalg.solve(loop, g12))
+    assert_same(at(rl.lft(k, g, over, back), values), g22 + g21 @ K @ np.linalg.solve(loop, g12))
 
 
 def gain_of(name, value=1.0, radius=0.5, **names):
@@ -209,7 +209,7 @@ OPERANDS = [
     (lambda: K.feedback(np.eye(2)), "2 x 2, expected 1 x 1"),
     (lambda: ([[1.0], [1.0]] @ K).feedback(1.0), "the number 1.0"),
     (([[1.0], [1.0]] @ K).inverse, "a square model"),
-    (lambda: rl.star(K, K, 2), "n_to_second: 2, expected a whole number from 0 to 1"),
+    (lambda: rl.lft(K, K, 2), "n_to_second: 2, expected a whole number from 0 to 1"),
     (lambda: K @ [[np.nan]], "NaN"),
     (lambda: K @ [[1j]], "complex"),
     (lambda: K @ DIGITAL @ LAG, "sample times"),

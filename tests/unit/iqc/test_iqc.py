@@ -78,7 +78,7 @@ def test_a_parameter_that_varies_has_the_radius_of_the_small_gain_theorem():
     k, c, r = 2.0, 0.3, 0.1
     spring = rl.parametric([[0, 1], ["-k", -c]], [[0], [1]], [[1, 0]], [[0]], {"k": (k, k - r, k + r)})
     radius = c * math.sqrt(k - c**2 / 4)
-    found = rl.robust_stability(spring, natures={"k": rl.Varying()})
+    found = rl.robust_stability(spring, block_types={"k": rl.Varying()})
     assert found.lower == pytest.approx(radius / r, rel=2e-3)
     assert found.lower <= radius / r
     assert found.status is Status.CERTIFIED
@@ -103,8 +103,8 @@ def test_real_blocks_agree_with_mu_and_rates_lie_between(seed):
     uncertain = random_set(seed, [rl.RealScalar("a", 2), rl.RealScalar("b")])
     mu = rl.robust_stability(uncertain)
     margins = [
-        rl.robust_stability(uncertain, natures=nature, order=2).lower
-        for nature in ({"a": rl.Varying(), "b": rl.Varying()}, {"a": rl.Varying(0.3)}, {})
+        rl.robust_stability(uncertain, block_types=block_type, order=2).lower
+        for block_type in ({"a": rl.Varying(), "b": rl.Varying()}, {"a": rl.Varying(0.3)}, {})
     ]
     assert margins[-1] <= mu.upper * (1 + 1e-6)
     assert margins[-1] >= 0.9 * mu.lower
@@ -144,7 +144,7 @@ def test_no_input_reaches_more_than_the_proved_gain(name):
     function, odd = LAWS[name]
     stiff = 3.0
     law = rl.Nonlinearity((0.0, stiff), (0.0, stiff), odd=odd)
-    found = rl.peak_gain(CUBE, natures={("y", "u"): law}, order=3)
+    found = rl.peak_gain(CUBE, block_types={("y", "u"): law}, order=3)
     assert found.status is Status.CERTIFIED
     rng, dt = np.random.default_rng(0), 0.03
     t = np.arange(0.0, 60.0, dt)
@@ -159,7 +159,7 @@ def test_no_input_reaches_more_than_the_proved_gain(name):
 def test_no_varying_spring_reaches_more_than_the_proved_gain():
     spring = rl.parametric([[0, 1], ["-k", -0.3]], [[0], [1]], [[1, 0]], [[0]], {"k": (2.0, 1.8, 2.2)})
     rate = 0.2
-    found = rl.peak_gain(spring, natures={"k": rl.Varying(rate)})
+    found = rl.peak_gain(spring, block_types={"k": rl.Varying(rate)})
     dt = 0.01
     t = np.arange(0.0, 150.0, dt)
     worst = 0.0
@@ -191,7 +191,7 @@ def test_a_wrongly_assembled_model_proves_nothing(monkeypatch, slip):
         made(self, *given.values(), D, *sizes)
 
     monkeypatch.setattr(Filtered, "__init__", slipped)
-    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)}, order=3)
+    found = rl.peak_gain(CUBE, block_types={("y", "u"): rl.Nonlinearity((0.0, 3.0), (0.0, 3.0), odd=True)}, order=3)
     assert (found.status, found.upper) == (Status.INCONCLUSIVE, math.inf)
 
 
@@ -202,7 +202,7 @@ def test_a_wrong_solver_proves_nothing(monkeypatch):
         return SimpleNamespace(iterations=1, status="Solved", x=np.abs(rng.normal(size=len(cost))) + 0.1)
 
     monkeypatch.setattr(inequality_module, "solve", wrong)
-    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.0))})
+    found = rl.peak_gain(CUBE, block_types={("y", "u"): rl.Nonlinearity((0.0, 3.0))})
     assert (found.status, found.upper, found.proof) == (Status.INCONCLUSIVE, math.inf, None)
 
 
@@ -210,7 +210,7 @@ def test_a_wrong_solver_proves_nothing(monkeypatch):
 
 
 def test_an_unstable_member_is_reported():
-    found = rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 9.0))})
+    found = rl.peak_gain(CUBE, block_types={("y", "u"): rl.Nonlinearity((0.0, 9.0))})
     assert (found.status, found.lower, found.upper) == (Status.INFEASIBLE, math.inf, math.inf)
     assert found.delta == {"y:u": 1.0}
     assert "unstable" in found.summary()
@@ -224,22 +224,22 @@ def test_a_slope_restricts_the_sector(odd):
     assert law.sector == (0.5, 1.0)
     model = rl.StateSpaceModel([[-1.0]], [[5.0]], [[1.0]], [[0.0]], 0, ["w"], ["z"])
     with pytest.raises(NoTrustworthyNumber, match="unstable with all blocks at their middles"):
-        rl.robust_stability(model, natures={("z", "w"): law})
+        rl.robust_stability(model, block_types={("z", "w"): law})
     with pytest.raises(InputError, match="meets the sector"):
         rl.Nonlinearity((0.0, 1.0), (1.0, 2.0))
 
 
 def test_an_algebraic_loop_uses_slopes_only():
     direct = rl.StateSpaceModel([[-1.0]], [[1.0, 1.0]], [[-1.0]], [[-0.5, 0.0]], 0.0, ["u", "d"], ["y"])
-    found = rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity.saturation()})
+    found = rl.peak_gain(direct, block_types={("y", "u"): rl.Nonlinearity.saturation()})
     assert found.status is Status.CERTIFIED
     assert found.proof.constraints["y:u"] == "Zames-Falb"
     with pytest.raises(InputError, match="algebraic loop"):
-        rl.peak_gain(direct, natures={("y", "u"): rl.Nonlinearity((0.0, 1.0))})
+        rl.peak_gain(direct, block_types={("y", "u"): rl.Nonlinearity((0.0, 1.0))})
 
 
-def stability(block, natures):
-    return rl.robust_stability(random_set(1, [block]), natures=natures)
+def stability(block, block_types):
+    return rl.robust_stability(random_set(1, [block]), block_types=block_types)
 
 
 @pytest.mark.parametrize(
@@ -247,22 +247,22 @@ def stability(block, natures):
     [
         (lambda: rl.Nonlinearity((0.0, math.inf)), "two finite numbers"),
         (lambda: rl.Nonlinearity(5.0), "two finite numbers"),
-        (lambda: rl.peak_gain(CUBE, natures="saturation"), "block -> what it is"),
+        (lambda: rl.peak_gain(CUBE, block_types="saturation"), "block -> what it is"),
         (
-            lambda: rl.peak_gain(random_set(1, [rl.RealScalar("f")]), natures={}, inputs=["nope"]),
+            lambda: rl.peak_gain(random_set(1, [rl.RealScalar("f")]), block_types={}, inputs=["nope"]),
             r"expected one of \w+$",
         ),
         (lambda: rl.Nonlinearity.friction(2.0), "no stick_speed"),
         (lambda: rl.Nonlinearity((0.0, 1.0), (2.0, 3.0)), "meets the sector"),
         (lambda: rl.Varying(0.0), "a positive number"),
-        (lambda: rl.peak_gain(CUBE, natures={("y", "v"): rl.Nonlinearity.saturation()}), "no input 'v'"),
-        (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Varying()}), "a Nonlinearity"),
-        (lambda: rl.peak_gain(CUBE, natures={}), "no block at all"),
-        (lambda: rl.peak_gain(CUBE, natures={("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
+        (lambda: rl.peak_gain(CUBE, block_types={("y", "v"): rl.Nonlinearity.saturation()}), "no input 'v'"),
+        (lambda: rl.peak_gain(CUBE, block_types={("y", "u"): rl.Varying()}), "a Nonlinearity"),
+        (lambda: rl.peak_gain(CUBE, block_types={}), "no block at all"),
+        (lambda: rl.peak_gain(CUBE, block_types={("y", "u"): rl.Nonlinearity.saturation()}, order=9), "from 0 to 8"),
         (lambda: stability(rl.FullBlock("f", 1, 1), {"f": rl.Varying(1.0)}), "a rate of 1"),
         (lambda: stability(rl.RealScalar("f"), {"g": rl.Varying(1.0)}), "no such block"),
         (lambda: stability(rl.RealScalar("f"), {"f": rl.Nonlinearity((0, 1))}), "own range"),
-        (lambda: rl.robust_stability(_discrete(), natures={}), "a discrete model"),
+        (lambda: rl.robust_stability(_discrete(), block_types={}), "a discrete model"),
         (lambda: gain_of(FRICTION), r"sector \[0, inf\): no strict inequality holds"),
         (lambda: gain_of(FRICTION, stick_speed={"q": 0.01}), "no Coulomb friction there"),
         (lambda: rl.peak_gain(AXIS, K), "controller: given for a model, expected it for a plant with effects"),
@@ -336,7 +336,7 @@ def test_no_input_of_a_saturated_axis_reaches_more():
 def test_friction_with_a_stick_speed_is_a_monotone_law():
     found = gain_of(FRICTION, stick_speed={"v": 0.01})
     assert found.status is Status.CERTIFIED
-    (text,) = found.nature.values()
+    (text,) = found.block_types.values()
     assert text == "odd nonlinearity, sector [0, 2000], slope [0, 2000]"
     assert found.conditions == ("coulomb-friction@v: sticking as creep below 0.01",)
     dt = 2e-4
@@ -349,7 +349,7 @@ def test_friction_with_a_stick_speed_is_a_monotone_law():
 
 def test_any_other_sector_may_vary_arbitrarily_fast():
     found = gain_of({"quadratic-drag": {"c": 100.0}}, amplitude={"v": 1.0})
-    assert list(found.nature.values()) == ["varies arbitrarily fast"]
+    assert list(found.block_types.values()) == ["varies arbitrarily fast"]
     assert found.conditions == ("quadratic-drag@v: while its signal stays within 1",)
     assert found.status is Status.CERTIFIED
 

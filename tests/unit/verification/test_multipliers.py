@@ -11,11 +11,11 @@ from robustlab.verification import Claim, Outcome, check
 ONE = np.ones((1, 1))
 
 
-def claim(kind, model, natures, ranges, P, multipliers, **more):
+def claim(kind, model, block_types, ranges, P, multipliers, **more):
     """Scalar real blocks of these kinds ``(kind, odd, steady)``, without slope and rate where none is given."""
-    k = len(natures)
+    k = len(block_types)
     numbers = dict(zip("ABCD", (np.array(X, float) for X in model), strict=True)) | {
-        "dt": np.array(0.0), "blocks": np.array([[0, 1, 1]] * k), "nature": np.array(natures),
+        "dt": np.array(0.0), "blocks": np.array([[0, 1, 1]] * k), "nature": np.array(block_types),
         "ranges": np.array(ranges, float), "slope": np.zeros((k, 2)), "rate": np.full(k, np.inf),
         "pole": np.array(1.0), "order": np.array(0), "P": np.array(P, float),
         "multipliers": np.array(multipliers, float),
@@ -74,7 +74,7 @@ def test_the_circle_criterion_of_the_largest_sector():
         s = 0.5 * (low + high)
         a, b = 1.95 * (1 - s), 1.95 * (1 + s)
         low, high = (s, high) if ((1 + b * G) * np.conj(1 + a * G)).real.min() > 0 else (low, s)
-    found = rl.robust_stability(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 3.9), steady=False)})
+    found = rl.robust_stability(CUBE, block_types={("y", "u"): rl.Nonlinearity((0.0, 3.9), steady=False)})
     assert 0.998 * low < found.lower < low
     (made,) = claims_of(found)
     assert check(made).outcome is Outcome.PROVED
@@ -84,7 +84,7 @@ def test_the_circle_criterion_of_the_largest_sector():
 
 def popov():
     # Popov: stable up to the sector [0, 8), where the circle criterion ends at 4.
-    return claims_of(rl.robust_stability(CUBE, natures={("y", "u"): rl.Nonlinearity((0.0, 7.9))}))[0]
+    return claims_of(rl.robust_stability(CUBE, block_types={("y", "u"): rl.Nonlinearity((0.0, 7.9))}))[0]
 
 
 def test_popovs_multiplier_is_for_steady_laws_of_a_signal_without_direct_term():
@@ -98,7 +98,7 @@ def test_popovs_multiplier_is_for_steady_laws_of_a_signal_without_direct_term():
 
 def zames_falb(odd):
     law = rl.Nonlinearity((0.0, 4.4), (0.0, 4.4), odd=odd)
-    return claims_of(rl.robust_stability(O_SHEA, natures={("y", "u"): law}, order=3))[0]
+    return claims_of(rl.robust_stability(O_SHEA, block_types={("y", "u"): law}, order=3))[0]
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ SPRING = rl.parametric([[0, 1], ["-k", "-c"]], [[0], [1]], [[1, 0]], [[0]], {"k"
 
 
 def test_a_bound_of_the_rate():
-    (made,) = claims_of(rl.peak_gain(SPRING, natures={"k": rl.Varying(0.2)}))
+    (made,) = claims_of(rl.peak_gain(SPRING, block_types={"k": rl.Varying(0.2)}))
     assert check(made).outcome is Outcome.PROVED
     rate = made.numbers["rate"]
     assert outcome(made, rate=rate * np.array([2.0, 1.0])) is Outcome.NOT_PROVED
@@ -148,7 +148,7 @@ def test_linear_members_never_exceed_the_proved_gain(seed):
     G = rl.StateSpaceModel(
         A, 0.3 * rng.normal(size=(3, 5)), 0.3 * rng.normal(size=(6, 3)), 0.05 * rng.normal(size=(6, 5))
     )
-    (made,) = claims_of(rl.peak_gain(rl.UncertainModel(G, blocks), natures={"b": rl.Varying()}, order=1))
+    (made,) = claims_of(rl.peak_gain(rl.UncertainModel(G, blocks), block_types={"b": rl.Varying()}, order=1))
     assert check(made).outcome is Outcome.PROVED
     assert outcome(made, multipliers=-made.numbers["multipliers"]) is Outcome.NOT_PROVED
     gamma, w = float(made.numbers["gamma"]), np.linspace(0, 5, 60)

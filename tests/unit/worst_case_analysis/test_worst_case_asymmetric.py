@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from robustlab import ComplexScalar, ParameterRange, RealScalar, StateSpaceModel, UncertainModel
-from robustlab.campaign import CampaignSettings, Crew, run_campaign
+from robustlab.campaign import CampaignSettings, WorkerOptions, run_campaign
 from robustlab.worst_case_analysis import sample, violation_probability, worst_case
 
 POLE = RealScalar("pole", parameter=ParameterRange.between(0.25, 1.5, 1.0, "1/s"))
@@ -68,7 +68,7 @@ def test_all_methods_give_the_same_member(tmp_path):
     wanted = poles(samples)
     assert wanted == pytest.approx([POLE.parameter.value(delta["pole"]) for delta in samples.deltas], rel=1e-14)
     np.testing.assert_allclose(violation_probability(model, "hinf", 2.0, n=40, seed=2).values, 1 / wanted, rtol=1e-9)
-    table = run_campaign(model, CampaignSettings("hinf", 40, seed=2), tmp_path / "s.sqlite", crew=Crew(1)).table()
+    table = run_campaign(model, CampaignSettings("hinf", 40, seed=2), tmp_path / "s.sqlite", crew=WorkerOptions(1)).table()
     np.testing.assert_allclose(table.columns["hinf"], 1 / wanted, rtol=1e-9)
     np.testing.assert_array_equal(table.columns["pole"], [delta["pole"] for delta in samples.deltas])
 
