@@ -12,7 +12,7 @@ from typing import Any
 _GROUPS = {  # heading of the reference page -> module -> its public names
     "models": {
         "statespace": "StateSpaceModel Signal",
-        "realisations": "ss tf zpk",
+        "conversion": "ss tf zpk",
         "dynamics.descriptor_elimination": "descriptor",
         "record": "Record",
         "storage.interchange": "load save",
@@ -30,7 +30,7 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
         "uncertainty.elementwise": "elementwise",
         "uncertainty.parametric": "parametric",
         "uncertainty.frequency_responses": "UncertainFrequencyData frequency_data",
-        "uncertainty.named_wiring": "connect",
+        "uncertainty.connection": "connect",
         "uncertainty.unstructured": "unstructured",
         "mu_analysis.margins.cover": "cover",
         "uncertainty.covers": "overbound",
@@ -41,8 +41,8 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
         "mu_analysis.matrix.bounds": "mu",
         "mu_analysis.axis.robustness": "robust_performance",
         "analysis.performance": "robust_gain",
-        "analysis.designs": "gap",
-        "uncertainty.distances": "nu_gap coprime_margin",
+        "analysis.hinf_and_gap": "gap",
+        "uncertainty.gap_metric": "nu_gap coprime_margin",
         "norms": "h2_norm",
         "linear_analysis.zeros": "zeros",
         "linear_analysis.structural": "controllability observability",
@@ -50,14 +50,14 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
     },
     "nonlinear and time-varying blocks": {"iqc.block_types": "Varying Nonlinearity"},
     "synthesis": {
-        "analysis.designs": "hinf",
+        "analysis.hinf_and_gap": "hinf",
         "synthesis.h2": "h2",
         "synthesis.specifications.loop_functions": "loop_functions",
         "synthesis.hinf.loop_shaping": "mixsyn ncf",
         "synthesis.dk.dk_iteration": "dk",
         "synthesis.fixed_structure": "fixed_structure",
         "synthesis.goal_tuning": "tune",
-        "synthesis.problem.partition": "generalized_plant",
+        "synthesis.problem.generalized_plant": "generalized_plant",
         "synthesis.specifications.weight_design": "performance_weight control_weight complementary_weight makeweight",
         "synthesis.problem.design": "Controller",
     },
@@ -96,7 +96,7 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(f"robustlab.{_PUBLIC[name]}"), name)
     if name.startswith("_"):  # requested by Python itself
         raise AttributeError(f"module 'robustlab' has no attribute {name!r}")
-    from robustlab.lazily import unknown_public_name
+    from robustlab.public_names import unknown_public_name
 
     raise AttributeError(unknown_public_name(name, _PUBLIC))
 

@@ -1,11 +1,14 @@
 # Written by benchmarks/stub.py from the table in __init__.py; do not edit.
-from robustlab.analysis.designs import gap as gap
-from robustlab.analysis.designs import hinf as hinf
 from robustlab.analysis.gains_and_margins import classical_margins as classical_margins
 from robustlab.analysis.gains_and_margins import disk_margin as disk_margin
 from robustlab.analysis.gains_and_margins import peak_gain as peak_gain
 from robustlab.analysis.gains_and_margins import robust_stability as robust_stability
+from robustlab.analysis.hinf_and_gap import gap as gap
+from robustlab.analysis.hinf_and_gap import hinf as hinf
 from robustlab.analysis.performance import robust_gain as robust_gain
+from robustlab.conversion import ss as ss
+from robustlab.conversion import tf as tf
+from robustlab.conversion import zpk as zpk
 from robustlab.delays.model import DelayedModel as DelayedModel
 from robustlab.delays.model import delay as delay
 from robustlab.delays.model import with_delays as with_delays
@@ -37,9 +40,6 @@ from robustlab.mu_analysis.axis.robustness import robust_performance as robust_p
 from robustlab.mu_analysis.margins.cover import cover as cover
 from robustlab.mu_analysis.matrix.bounds import mu as mu
 from robustlab.norms import h2_norm as h2_norm
-from robustlab.realisations import ss as ss
-from robustlab.realisations import tf as tf
-from robustlab.realisations import zpk as zpk
 from robustlab.record import Record as Record
 from robustlab.result import Status as Status
 from robustlab.statespace import Signal as Signal
@@ -56,7 +56,7 @@ from robustlab.synthesis.h2 import h2 as h2
 from robustlab.synthesis.hinf.loop_shaping import mixsyn as mixsyn
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
 from robustlab.synthesis.problem.design import Controller as Controller
-from robustlab.synthesis.problem.partition import generalized_plant as generalized_plant
+from robustlab.synthesis.problem.generalized_plant import generalized_plant as generalized_plant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.reduction.model_reduction import minimal as minimal
 from robustlab.synthesis.reduction.model_reduction import reduce_model as reduce_model
@@ -72,15 +72,15 @@ from robustlab.uncertainty.blocks import ComplexScalar as ComplexScalar
 from robustlab.uncertainty.blocks import FullBlock as FullBlock
 from robustlab.uncertainty.blocks import ParameterRange as ParameterRange
 from robustlab.uncertainty.blocks import RealScalar as RealScalar
+from robustlab.uncertainty.connection import connect as connect
 from robustlab.uncertainty.covers import overbound as overbound
-from robustlab.uncertainty.distances import coprime_margin as coprime_margin
-from robustlab.uncertainty.distances import nu_gap as nu_gap
 from robustlab.uncertainty.elementwise import elementwise as elementwise
 from robustlab.uncertainty.frequency_responses import UncertainFrequencyData as UncertainFrequencyData
 from robustlab.uncertainty.frequency_responses import frequency_data as frequency_data
+from robustlab.uncertainty.gap_metric import coprime_margin as coprime_margin
+from robustlab.uncertainty.gap_metric import nu_gap as nu_gap
 from robustlab.uncertainty.lft import UncertainModel as UncertainModel
-from robustlab.uncertainty.lft import star as star
-from robustlab.uncertainty.named_wiring import connect as connect
+from robustlab.uncertainty.lft import lft as lft
 from robustlab.uncertainty.parametric import parametric as parametric
 from robustlab.uncertainty.unstructured import unstructured as unstructured
 from robustlab.worst_case_analysis import sample as sample
@@ -113,7 +113,7 @@ __all__ = [
     "FullBlock",
     "ParameterRange",
     "UncertainModel",
-    "star",
+    "lft",
     "elementwise",
     "parametric",
     "UncertainFrequencyData",

@@ -53,7 +53,7 @@ class Displayable:
     """Base of displayed objects; a class defines `facts`."""
 
     # Attributes that requirements refer to -> unit ("1" of a pure number), or a pattern of
-    # `robustlab.recipe.steps.contract`: float where the unit is not known, bool, {"*": float}, a class for its fields
+    # `robustlab.recipe.steps.step`: float where the unit is not known, bool, {"*": float}, a class for its fields
     # (with the units of its own quantities), `Each` for a table by signals.
     quantities: ClassVar[Mapping[str, Any]] = {}
 

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robustlab.arrays import Array
-from robustlab.clocks import is_uniform
 from robustlab.display import Displayable, Facts, number, short, with_units
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.provenance import Traced
 from robustlab.signals import MAX_NAME, real_array
+from robustlab.time_base import is_uniform
 
 if TYPE_CHECKING:
     import pandas

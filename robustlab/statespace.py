@@ -245,7 +245,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
         if isinstance(system, control.TransferFunction):
             one = (system.ninputs, system.noutputs) == (1, 1)
             num, den = (side[0][0] if one else side for side in (system.num, system.den))
-            tf = import_module("robustlab.realisations").tf
+            tf = import_module("robustlab.conversion").tf
             return tf(num, den, float(system.dt or 0.0), system.input_labels, system.output_labels)
         ins, outs, states = map(list, (system.input_labels, system.output_labels, system.state_labels))
         return cls(system.A, system.B, system.C, system.D, float(system.dt or 0.0), ins, outs, states)

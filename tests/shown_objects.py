@@ -123,7 +123,7 @@ def campaign(folder: str) -> Any:
 
     settings = CampaignSettings("peak-deviation", 200, u={"u": 42.0}, t_end=0.1, points=51)
     path = Path(folder) / "campaign.sqlite"
-    return run_campaign(uncertain_motor(), settings, path, crew=WorkerOptions(workers=1), limit=10.0)
+    return run_campaign(uncertain_motor(), settings, path, workers=WorkerOptions(workers=1), limit=10.0)
 
 
 def four_models() -> list[rl.StateSpaceModel]:

@@ -26,7 +26,12 @@ from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 from robustlab.uncertainty.lft import UncertainModel
 
 MODEL, SET, DELAYED = "a model", "an uncertain model", "a model with exact delays"
-BLOCK_TYPES, FREQUENCIES, LPV, EFFECTS = "blocks with block_types", "given frequencies", "an LPV model", "a plant with effects"
+BLOCK_TYPES, FREQUENCIES, LPV, EFFECTS = (
+    "blocks with types",
+    "given frequencies",
+    "an LPV model",
+    "a plant with effects",
+)
 
 OWN = "mu_analysis.margins."
 GAIN = {
@@ -260,8 +265,8 @@ def robust_stability(
     Returns
     -------
     StabilityMargin
-        Both bounds with status and evidence: a `Margin`, an `IqcStability` with block_types, a `MarginAt` at frequencies, a
-        `DelayStability` with delays.
+        Both bounds with status and evidence: a `Margin`, an `IqcStability` with block types, a `MarginAt` at
+        frequencies, a `DelayStability` with delays.
 
     Raises
     ------

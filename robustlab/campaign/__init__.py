@@ -1,6 +1,6 @@
 """Campaigns: samples and searches of any size in worker processes; an interrupted run is resumed to the same result."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -28,7 +28,7 @@ from robustlab.provenance import robustlab_version
 from robustlab.storage.codecs import decode_uncertain, encode_uncertain
 from robustlab.storage.matrices import Problems
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import Deltas, delta_of_sample, encoded
+from robustlab.worst_case_analysis.batched_members import Deltas, delta_of_sample, encoded
 from robustlab.worst_case_analysis.metrics import make_metric
 from robustlab.worst_case_analysis.worst_case_search import worst_case
 
@@ -174,7 +174,7 @@ class Rows:
 
     first: int  # index of the first one
     values: Array  # the metric, shape (k,); NaN where a sample is lost
-    deltas: Array  # normalised Deltas as numbers, shape (k, width); see `robustlab.worst_case_analysis.members.encoded`
+    deltas: Array  # normalised Deltas, shape (k, width); see `robustlab.worst_case_analysis.batched_members.encoded`
     seconds: Array  # time each one took, shape (k,); samples computed together share their time evenly
     lost: Mapping[int, str] = field(default_factory=dict)  # index -> reason, for samples without a value
 

@@ -34,7 +34,7 @@ from robustlab.display import AllFields, Displayable, Facts, Part, member, membe
 from robustlab.errors import DependencyMissing, EnvironmentFault, InputError, NoTrustworthyNumber
 from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import decoded
+from robustlab.worst_case_analysis.batched_members import decoded
 from robustlab.worst_case_analysis.statistics import clopper_pearson, quantile_bounds
 from robustlab.worst_case_analysis.worst_case_search import LABEL, LABEL_SMALLEST, UNBOUNDED
 
@@ -244,7 +244,7 @@ def run_campaign(
     settings: CampaignSettings,
     store: str | Path,
     *,
-    options: WorkerOptions = ALL_PROCESSORS,
+    workers: WorkerOptions = ALL_PROCESSORS,
     existing: Literal["resume", "restart"] = "resume",
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -267,13 +267,13 @@ def run_campaign(
         else:
             opened = Store.open(path, write=True)
             _same_campaign(opened, identity)
-        return _work(opened, evaluator, options, limit, progress)
+        return _work(opened, evaluator, workers, limit, progress)
 
 
 def resume_campaign(
     store: str | Path,
     *,
-    options: WorkerOptions = ALL_PROCESSORS,
+    workers: WorkerOptions = ALL_PROCESSORS,
     limit: float | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> CampaignResult:
@@ -284,7 +284,7 @@ def resume_campaign(
         opened = Store.open(path, write=True)
         old = opened.identity
         _same_campaign(opened, Identity(old.model, old.settings, code_identity()))
-        return _work(opened, _evaluator(opened), options, limit, progress)
+        return _work(opened, _evaluator(opened), workers, limit, progress)
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
@@ -302,18 +302,16 @@ def saved_samples(store: str | Path) -> tuple[int, int]:
 
 
 def _work(
-    store: Store, evaluator: Evaluator, options: WorkerOptions, limit: float | None, progress: Callable[[int], None]
+    store: Store, evaluator: Evaluator, workers: WorkerOptions, limit: float | None, progress: Callable[[int], None]
 ) -> CampaignResult:
     """Complete an open, locked store, check its worst sample, read and close it."""
     finished, n, before = False, evaluator.settings.n, sum(store.counts())
     try:
         progress(before)
         if before < n:
-            started = (
-                _on_cluster(options.cluster) if options.cluster is not None else _on_this_machine(options.workers, n - before)
-            )
-            with started as workers:
-                compute_missing(store, evaluator, workers, progress)
+            cluster, count = workers.cluster, workers.workers
+            with _on_cluster(cluster) if cluster is not None else _on_this_machine(count, n - before) as executor:
+                compute_missing(store, evaluator, executor, progress)
         if before < n or not store.facts():
             _note_end(store, evaluator)
         finished = True

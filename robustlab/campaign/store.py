@@ -30,7 +30,7 @@ _TABLES = (
     idx INTEGER PRIMARY KEY,
     status INTEGER NOT NULL,  -- 0 done, 1 lost
     value REAL,               -- the metric; NULL where lost
-    delta BLOB NOT NULL,      -- normalised Delta, float64, see worst_case_analysis.members.encoded
+    delta BLOB NOT NULL,      -- normalised Delta, float64, see worst_case_analysis.batched_members.encoded
     seconds REAL NOT NULL,
     reason TEXT               -- why the sample is lost
 )""",
@@ -49,7 +49,7 @@ class Sample:
 
     @property
     def numbers(self) -> Array:
-        """Delta as coordinates for `robustlab.worst_case_analysis.members.decoded`."""
+        """Delta as coordinates for `robustlab.worst_case_analysis.batched_members.decoded`."""
         return np.frombuffer(self.delta, dtype="<f8").astype(np.float64)
 
 
@@ -221,7 +221,7 @@ class Store:
 
 
 def _check_file(path: Path) -> None:
-    from robustlab.files.signature import require_file
+    from robustlab.files.file_types import require_file
 
     head = require_file(path)
     if not head.startswith(MAGIC):

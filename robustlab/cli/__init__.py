@@ -1,6 +1,6 @@
 """The command line: it parses, calls and prints, and contains no mathematics."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

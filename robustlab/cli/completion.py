@@ -45,7 +45,7 @@ def plant_or_file(incomplete: str) -> list[str]:
 
 
 def recipe_or_file(incomplete: str) -> list[str]:
-    from robustlab.recipe.shipped import shipped_recipes
+    from robustlab.recipe.builtin_recipes import shipped_recipes
 
     return _names_and_files(shipped_recipes(), (".toml",), incomplete)
 

@@ -24,7 +24,7 @@ from robustlab.errors import (
     UsageError,
 )
 from robustlab.operations.declaration import COMMANDS, REQUIRED, InLoop, Operation, Parameter, load_family
-from robustlab.operations.kinds import (
+from robustlab.operations.parameter_types import (
     Choice,
     Feedback,
     Flag,
@@ -61,7 +61,7 @@ AS_JSON = ("as_json", *get_args(JsonOption), False)
 PROGRESS = ("progress", *get_args(ProgressOption), "auto")
 Options = tuple[tuple[str, Any, Any, Any], ...]  # name, type, option, default
 
-# Options for reading files, by `robustlab.operations.kinds.Thing.reading`.
+# Options for reading files, by `robustlab.operations.parameter_types.Thing.reading`.
 READ: Mapping[str, Options] = {
     "model": (
         ("group", str | None, typer.Option("--group", metavar="NAME", help="Group of the file that holds the model."),

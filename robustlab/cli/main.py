@@ -155,7 +155,7 @@ def _raise_with_choices(error: Any) -> None:
     """Raise a UsageError with the possible values of a missing argument, where there are any."""
     from robustlab.cli.completion import PLANTS
     from robustlab.errors import UsageError
-    from robustlab.recipe.shipped import shipped_titles
+    from robustlab.recipe.builtin_recipes import shipped_titles
 
     if error.param is None or error.ctx is None:
         return

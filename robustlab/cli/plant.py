@@ -13,7 +13,7 @@ from robustlab.cli.console import emit, named, note, result_alone
 from robustlab.cli.generated import AS_JSON, READ, JsonOption, taking
 from robustlab.display import text_table as table
 from robustlab.errors import InputError, NoTrustworthyNumber, UsageError
-from robustlab.operations.kinds import Ends, Number, Table, made_of, plant_settings, read_plant, runs_code
+from robustlab.operations.parameter_types import Ends, Number, Table, made_of, plant_settings, read_plant, runs_code
 
 PLANT, MODEL = typer.Typer(), typer.Typer()
 
@@ -289,7 +289,7 @@ def convert(
 
 
 def _describe(name: str, thing: Any) -> list[str]:
-    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.dynamics.plant_base import Plant
 
     if isinstance(thing, rl.DelayedModel):
         lengths = ", ".join(f"{t:.6g}" for t in thing.delays.tolist())

@@ -84,7 +84,7 @@ def run(
     Example: robustlab run first-light --set seed=7 --out out/first-light
     """
     if listed or recipe is None:
-        from robustlab.recipe.shipped import shipped_titles
+        from robustlab.recipe.builtin_recipes import shipped_titles
 
         titles = list(shipped_titles().items())
         if not listed:
@@ -225,7 +225,7 @@ def new(
 
     Example: robustlab recipe new my-motor && robustlab run my-motor.toml
     """
-    from robustlab.recipe.shipped import write_starter
+    from robustlab.recipe.builtin_recipes import write_starter
 
     path = write_starter(name, force=force)
     emit("recipe new", {"file": str(path)}, f"{path}\nrun it with: robustlab run {path}", as_json)

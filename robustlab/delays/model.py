@@ -37,10 +37,10 @@ from robustlab.uncertainty.lft import (
     feedback,
     interconnected,
     inverse,
+    lft,
     ones,
     parallel,
     product,
-    lft,
     unique_names,
     upper_lft,
 )

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, Trim
+from robustlab.dynamics.plant_base import NonlinearPlant, Plant, Trim
 from robustlab.dynamics.plant_file import plant_from_file, plant_reference, unit_reference
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, did_you_mean
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 if TYPE_CHECKING:
     from robustlab.dynamics.stewart.stewart_platform import StewartPlatform
@@ -32,7 +32,7 @@ _INNER = {
     "extended.extended_plant": "ExtendedPlant extended_model",
     "extended.feed_forward": "DryLevel FeedForward Wave feed_forward",
     "extended.simulator": "SampledInput Simulator Windows stepping",
-    "plant_contract": "LocalModels PortPlace input_signal",
+    "plant_base": "LocalModels PortPlace input_signal",
     "plants.linear": "linear_actuator",
     "ports.port_model": "linear_plant_of local_port_model parameter_groups port_model shares_behind",
     "symbolic.symbolic_plant": "OPERATIONS Tape tape_of",

@@ -21,7 +21,7 @@ from robustlab.arrays import Array
 from robustlab.budget import NOT_REPEATABLE, child_environment
 from robustlab.checks import number
 from robustlab.dynamics.parameters import Parameter, overridden
-from robustlab.dynamics.plant_contract import SteppedPlant
+from robustlab.dynamics.plant_base import SteppedPlant
 from robustlab.errors import DependencyMissing, InputError, NativeTimeout, NoTrustworthyNumber
 from robustlab.provenance import BY_UNIT, Provenance, file_sha256
 from robustlab.statespace import Signal

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from robustlab.arrays import Array
 from robustlab.dynamics.descriptor_elimination import ROUNDING, closed_descriptor, solved, with_outputs
 from robustlab.dynamics.parameters import Parameter, parameter_ranges
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_base import Plant
 from robustlab.errors import InputError
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import RealScalar

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, SteppedPlant, Trim, point_of
+from robustlab.dynamics.plant_base import NonlinearPlant, Plant, SteppedPlant, Trim, point_of
 from robustlab.errors import InputError, error_context
 from robustlab.provenance import code_of
 from robustlab.statespace import OperatingPoint, StateSpaceModel

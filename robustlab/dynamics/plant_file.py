@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_base import Plant
 from robustlab.errors import (
     DependencyMissing,
     EnvironmentFault,
@@ -29,7 +29,7 @@ from robustlab.errors import (
     is_function,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.signature import require_file
+from robustlab.files.file_types import require_file
 from robustlab.provenance import BY_PLANT_FILE, Provenance, file_sha256
 
 # Global variable of a plant file with its name for messages.

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from robustlab.arrays import Array
 from robustlab.checks import number
 from robustlab.delays.model import DelayedModel, delayed_response
-from robustlab.dynamics.plant_contract import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
+from robustlab.dynamics.plant_base import NonlinearHold, NonlinearPlant, Plant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context, unknown_name
 from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel, as_model, real_array

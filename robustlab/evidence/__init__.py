@@ -3,7 +3,7 @@
 `claims_of` returns the claims of a result, by its method ``claims`` or a row of ``CLAIMS``; `verify` checks them.
 """
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -63,8 +63,8 @@ from robustlab.synthesis.problem.design import Synthesis
 from robustlab.synthesis.reduction.controller_reduction import ReducedController
 from robustlab.synthesis.reduction.model_reduction import ReducedModel
 from robustlab.uncertainty.blocks import Block, ComplexScalar, FullBlock, block_slices, delta_matrix
-from robustlab.uncertainty.distances import CoprimeMargin, four_block
 from robustlab.uncertainty.elementwise import BuiltModel
+from robustlab.uncertainty.gap_metric import CoprimeMargin, four_block
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.claim import Claim
 

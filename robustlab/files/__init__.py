@@ -1,11 +1,11 @@
 """Read untrusted HDF5, MATLAB and text files into plain arrays; write files atomically."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "signature": "Limits MAX_DEPTH content_of parse_document size_text",
+        "file_types": "Limits MAX_DEPTH content_of parse_document size_text",
         "isolation": "ReaderServer",
         "text_table": "read_response read_table",
         "hdf5": "read_tree write_tree",

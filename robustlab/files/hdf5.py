@@ -10,9 +10,9 @@ import numpy as np
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
 from robustlab.files.atomic import atomic_write
+from robustlab.files.file_types import MIB, Limits, content_of
 from robustlab.files.isolation import read_isolated, reader
 from robustlab.files.matlab import from_matlab73
-from robustlab.files.signature import MIB, Limits, content_of
 from robustlab.files.tree import Tree, Unread, canonical
 
 COMPRESS_FROM = 64 << 10  # bytes

@@ -18,7 +18,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5t, h5z  # pyright: ignore[reportAttr
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
-from robustlab.files.signature import Limits, size_text
+from robustlab.files.file_types import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread, canonical
 
 # Filters built into HDF5 or h5py: deflate, shuffle, fletcher32, nbit, scaleoffset, lzf; no plugin is loaded.

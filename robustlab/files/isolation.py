@@ -27,7 +27,7 @@ import numpy as np
 
 from robustlab.budget import child_environment
 from robustlab.errors import EnvironmentFault, InputError
-from robustlab.files.signature import MIB, Limits
+from robustlab.files.file_types import MIB, Limits
 from robustlab.files.tree import Dataset, Tree, Unread
 
 # The reader's own limit is processor time; a sleeping one is ended after this many times as long.

@@ -14,7 +14,7 @@ import numpy as np
 
 from robustlab.arrays import AnyArray
 from robustlab.errors import InputError
-from robustlab.files.signature import Limits, size_text
+from robustlab.files.file_types import Limits, size_text
 from robustlab.files.tree import Dataset, Tree, Unread, text_attr
 
 NUMERIC = {"double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"}

@@ -23,10 +23,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robustlab.arrays import AnyArray, Array, not_finite
-from robustlab.clocks import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.errors import InputError, UnitMismatch, did_you_mean, require_package
+from robustlab.files.file_types import Limits, content_of
 from robustlab.files.hdf5 import read_tree
-from robustlab.files.signature import Limits, content_of
 from robustlab.files.text_table import read_table
 from robustlab.files.tree import (
     Tree,
@@ -39,6 +38,7 @@ from robustlab.files.tree import (
     text_attr,
     type_name,
 )
+from robustlab.time_base import clock_step, common_clock, held, interpolated, summarise_clock
 from robustlab.units import factor_to_si, same_unit
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.errors import InputError, did_you_mean
-from robustlab.files.signature import Limits, require_file, size_text
+from robustlab.files.file_types import Limits, require_file, size_text
 from robustlab.files.tree import Tree, canonical
 from robustlab.units import factor_between
 

@@ -1,6 +1,6 @@
 """Measurement against model: how large the gap is, what is missing, what remains, whether a set explains a record."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -17,7 +17,7 @@ from robustlab.arrays import Array
 from robustlab.display import Facts
 from robustlab.dynamics.extended.simulator import Simulator, Windows
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Problem, predicted, refit_distance
 from robustlab.identification.response.response import slowest_time_constant
 from robustlab.record import Record
@@ -61,7 +61,7 @@ class NextExperiment(Evidence):
 
     def facts(self) -> Facts:
         size = f"{self.separation:.3g} noise sigmas of {', '.join(self.hypotheses)}"
-        now = f"present records: {self.now:.3g}; {tuning.CANNOT_TELL:.0f} distinguish, {SAFE:.0f} are safe"
+        now = f"present records: {self.now:.3g}; {constants.CANNOT_TELL:.0f} distinguish, {SAFE:.0f} are safe"
         return [("signal", self.description), ("predicted separation", f"{size} ({now})"), ("or", self.advice)]
 
     def save(self, path: str | Path) -> Path:
@@ -136,7 +136,7 @@ def _limits(problem: Problem) -> _Limits:
     assert isinstance(plant, LinearPlant)
     dt, slowest = first.record.dt, slowest_time_constant(plant.state_space())
     wanted = max(round(TIME_CONSTANTS * slowest / dt), *(r.record.n for r in records))
-    samples = max(min(wanted, LONGEST_EXPERIMENT), tuning.FEWEST_WINDOWS * first.windows.length)
+    samples = max(min(wanted, LONGEST_EXPERIMENT), constants.FEWEST_WINDOWS * first.windows.length)
     samples -= samples % first.windows.length
     beat = min(max(TIME_CONSTANTS_A_BEAT * slowest, samples * dt / MOST_BEATS), samples * dt / FEWEST_BEATS)
     both_ways = any(unit in ("rad/s", "m/s") for _, unit in plant.states)
@@ -385,7 +385,7 @@ def _advice(entry: _Entry, fits: Sequence[Fit], limits: _Limits, units: Mapping[
     effects = dict.fromkeys(effect for label, effect in own if effect.id in label)
     ways = [f"{effect.id}: {effect.independently}" for effect in effects if effect.independently]
     word = "this may, but need not, separate"
-    if entry.separation < tuning.CANNOT_TELL:
+    if entry.separation < constants.CANNOT_TELL:
         word = "nothing on the menu separates"
     text = f"{word} {' and '.join(sorted(close))} with {', '.join(ranges)}"
     return f"{text}; an independent measurement would ({'; '.join(ways)})" if ways else text

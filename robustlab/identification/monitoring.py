@@ -20,12 +20,12 @@ from robustlab.arrays import Array, Mask
 from robustlab.budget import one_thread
 from robustlab.display import Facts, listed, number
 from robustlab.dynamics.effects.catalogue import effect
-from robustlab.dynamics.effects.contract import Scales
+from robustlab.dynamics.effects.effect import Scales
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.data_checks.resampling import clock_step, uniform
 from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
 from robustlab.identification.greybox.effect_fit import (
@@ -40,7 +40,7 @@ from robustlab.identification.greybox.effect_fit import (
 from robustlab.identification.greybox.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.missing_effects.discovery import discover, known_plant
 from robustlab.identification.missing_effects.discovery_result import Discovery
-from robustlab.identification.missing_effects.set_search import clock_nuisances, held_inputs
+from robustlab.identification.missing_effects.effect_search import clock_nuisances, held_inputs
 from robustlab.identification.response.response import with_units
 from robustlab.record import Record
 from robustlab.result import Evidence, Status, Table, Tabular
@@ -260,7 +260,7 @@ class _Watched:
     ) -> None:
         self.plant, self.dt = plant, clock_step(first.t)
         self.outputs = {s.name for s in plant.outputs} & set(first.outputs)
-        least = tuning.FEWEST_WINDOWS * tuning.SHORTEST_WINDOW // 2
+        least = constants.FEWEST_WINDOWS * constants.SHORTEST_WINDOW // 2
         if first.n < least:
             raise InputError(f"watch {first.name}", f"{first.n} samples", f"at least {least} in a piece")
         record, _ = self._uniform(first)
@@ -280,11 +280,11 @@ class _Watched:
         nuisances += clock_nuisances(tuple(s.name for s in plant.inputs), self.dt)
         pool = candidates(plant, self.model, [prepared])
         self.hypothesis = Hypothesis(tuple(_own(e, pool) for e in attached))
-        problem = Problem(plant, [prepared], nuisances, clock=Clock(tuning.LEAST_STEPS))
+        problem = Problem(plant, [prepared], nuisances, clock=Clock(constants.LEAST_STEPS))
         z = np.zeros(problem.size(self.hypothesis))
-        fit, problem = held_inputs(problem, problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(tuning.BASE)))
+        fit, problem = held_inputs(problem, problem.fit(self.hypothesis, self.noise, z, plan=FitPlan(constants.BASE)))
         self.problem = problem.under(replace(problem.clock, sub=STEPS))
-        learned = self.problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.BASE, 1e-3))
+        learned = self.problem.fit(self.hypothesis, self.noise, fit.z, fit.starts, FitPlan(constants.BASE, 1e-3))
         self.z = learned.z
         sizes, directions = np.linalg.eigh(np.linalg.inv(learned.hessian))
         self.spread = FAR * directions * np.sqrt(np.maximum(sizes, 0.0))
@@ -303,7 +303,7 @@ class _Watched:
         if missing := sorted(self.outputs - set(piece.outputs)):
             raise InputError(f"watch {piece.name}", f"no output {missing[0]!r}", "the outputs of the first piece")
         there = self.problem.on([replace(self._prepared(piece), thin=self.thin)])
-        fit = there.fit(self.hypothesis, self.noise, self.z, plan=FitPlan(tuning.LAST, 0.5, fixed=True))
+        fit = there.fit(self.hypothesis, self.noise, self.z, plan=FitPlan(constants.LAST, 0.5, fixed=True))
         equations, used = _equations(there, fit, self.spread)
         misfit = float(np.sqrt(equations.whole[-1, -1] / max(equations.points, 1)))
         self.records.append(piece)

@@ -1,6 +1,6 @@
 """Integral quadratic constraints: worst-case gain and stability with nonlinear, time-varying and uncertain blocks."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

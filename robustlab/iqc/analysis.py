@@ -323,7 +323,9 @@ def posed(
         checked(f"{where}: pole", pole, "a positive number in rad/s", above=0)
     budget = search_budget(where, WORK, effort, time_limit)
     if block_types is not None and not isinstance(block_types, Mapping):
-        raise InputError(f"{where}: block_types", f"{block_types!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}")
+        raise InputError(
+            f"{where}: block_types", f"{block_types!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}"
+        )
     given = dict(block_types or {})
     laws: dict[Any, Any] = {key: one for key, one in given.items() if isinstance(key, tuple)}
     for key, one in laws.items():
@@ -378,7 +380,7 @@ def _opened(model: Any, laws: Mapping[tuple[str, str], Nonlinearity]) -> Uncerta
 
 
 def _in_delta(where: str, block: Block, block_type: BlockType | None, drives: bool) -> BlockType | None:
-    """Check the block type against the block and return it in Delta's unit; ``drives``: a law of signals, in their own."""
+    """Check the type against the block and return it in Delta's unit; ``drives``: a law of signals, in their own."""
     name, span = f"{where}: {block.name!r}", block.parameter
     if not (block.is_scalar or block.is_ball):
         raise InputError(name, f"a {type(block).__name__}", "a scalar block, or a full one of gain one")
@@ -390,7 +392,9 @@ def _in_delta(where: str, block: Block, block_type: BlockType | None, drives: bo
             raise InputError(name, f"a {type(block).__name__} of {block.rows} x {block.cols}", "a real one, once")
         low, high = block.ends
         if not np.allclose(block_type.sector, (low, high), rtol=1e-9, atol=1e-12 * (high - low)):
-            raise InputError(name, f"a law of sector {block_type.sector}", f"the block's own range, {low:g} .. {high:g}")
+            raise InputError(
+                name, f"a law of sector {block_type.sector}", f"the block's own range, {low:g} .. {high:g}"
+            )
         sector = block.interval or (-1.0, 1.0)
         slope = block_type.slope and tuple((end - nominal) / radius for end in block_type.slope)
         # A sector is within the slope, also after rounding.
@@ -411,7 +415,11 @@ def _in_words(block: Block, block_type: BlockType | None) -> str:
     if block_type is None:
         return "constant real parameter" if block.is_real else "time-invariant dynamics"
     if isinstance(block_type, Varying):
-        return f"varies by at most {block_type.rate:g} {unit}/s" if np.isfinite(block_type.rate) else "varies arbitrarily fast"
+        return (
+            f"varies by at most {block_type.rate:g} {unit}/s"
+            if np.isfinite(block_type.rate)
+            else "varies arbitrarily fast"
+        )
     low, high = block_type.sector
     text = f"{'odd ' if block_type.odd else ''}nonlinearity, sector [{low:.4g}, {high:.4g}]"
     text += f", slope [{block_type.slope[0]:.4g}, {block_type.slope[1]:.4g}]" if block_type.slope else ""

@@ -1,6 +1,6 @@
 """Analysis of a linear model: responses, zeros, stability, controllability, matrix equations."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -1,6 +1,6 @@
 """Structured singular value: bounds for matrices, and margins and worst gains proved over the whole frequency axis."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber
+from robustlab.operations.common_parameters import Effort, Measured, Moved, Plant, Seed, TimeLimit, UncertainPlant
 from robustlab.operations.declaration import InLoop, operation, public
-from robustlab.operations.kinds import Machine, Names, Number, RecordFile, Share, Table, Whole
-from robustlab.operations.words import Effort, Measured, Moved, Plant, Seed, TimeLimit, UncertainPlant
+from robustlab.operations.parameter_types import Machine, Names, Number, RecordFile, Share, Table, Whole
 
 TOLERANCE = "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%."
 Records = Annotated[Any, RecordFile(named=True), "Records that the set must explain."]

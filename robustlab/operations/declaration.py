@@ -24,8 +24,19 @@ from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_
 
 import robustlab
 from robustlab.errors import rewritten
-from robustlab.operations.kinds import Choice, Feedback, Flag, Kind, Names, Number, RecordFile, Table, Thing, Whole
-from robustlab.operations.words import COMMON
+from robustlab.operations.common_parameters import COMMON
+from robustlab.operations.parameter_types import (
+    Choice,
+    Feedback,
+    Flag,
+    Kind,
+    Names,
+    Number,
+    RecordFile,
+    Table,
+    Thing,
+    Whole,
+)
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -9,9 +9,31 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.common_parameters import (
+    Channel,
+    Controller,
+    Design,
+    Model,
+    Moved,
+    Search,
+    Seed,
+    Sign,
+    Signals,
+    System,
+)
 from robustlab.operations.declaration import InLoop, operation, public
-from robustlab.operations.kinds import Choice, Keyed, Names, Number, Numbers, Sizes, Table, Thing, Weight, Whole
-from robustlab.operations.words import Channel, Controller, Design, Model, Moved, Search, Seed, Sign, Signals, System
+from robustlab.operations.parameter_types import (
+    Choice,
+    Keyed,
+    Names,
+    Number,
+    Numbers,
+    Sizes,
+    Table,
+    Thing,
+    Weight,
+    Whole,
+)
 
 DESIGN, HINF, TRACKING = "synthesis.problem.design.", "synthesis.hinf.", "synthesis.specifications.tracking."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
@@ -29,7 +51,7 @@ class Channels:
 
     def posed(self, system: Any, where: str, nominal: bool | None = False) -> Any:
         """Return the generalised plant: of a tracking problem its own, else with channels by number or by name."""
-        from robustlab.synthesis.problem.partition import as_generalized_plant
+        from robustlab.synthesis.problem.generalized_plant import as_generalized_plant
         from robustlab.synthesis.specifications.tracking import TrackingProblem
 
         measurements, controls = self.measurements, self.controls
@@ -79,7 +101,12 @@ def _design(found: Any, system: Any, proved: bool = True) -> InLoop:
 
 
 @operation(
-    "synth hinf", "hinf", result=DESIGN + "HinfSynthesis", public="analysis.designs.hinf", kinds=GAMMA_REL, **CONTROLLER
+    "synth hinf",
+    "hinf",
+    result=DESIGN + "HinfSynthesis",
+    public="analysis.hinf_and_gap.hinf",
+    kinds=GAMMA_REL,
+    **CONTROLLER,
 )
 def hinf(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.common_parameters import Controller, Model, Outputs, Sign, System
 from robustlab.operations.declaration import InLoop, operation
-from robustlab.operations.kinds import (
+from robustlab.operations.parameter_types import (
     Choice,
     Ends,
     Flag,
@@ -24,7 +25,6 @@ from robustlab.operations.kinds import (
     Whole,
     bounded,
 )
-from robustlab.operations.words import Controller, Model, Outputs, Sign, System
 
 COVERS = (
     "elements", "pca", "additive", "input-multiplicative", "output-multiplicative", "inverse-additive",
@@ -65,7 +65,7 @@ Pose = Annotated[
 
 def at_rest(plant: Any, at: Any, pose: Any) -> Any:
     """Return the pose or the values of the equilibrium; None for the plant's own."""
-    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
 
     if pose is not None and at:
         raise UsageError("pose", "--pose and --at", "one of them")
@@ -89,7 +89,7 @@ def linearise(
 
     Example: robustlab model build dc-motor --set R=2.2 --out motor.h5
     """
-    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
     from robustlab.linear_analysis.structural import drop_unconnected
 
     if pose is not None and at:
@@ -125,7 +125,7 @@ def check(system: System) -> Any:
         from robustlab.mu_analysis.margins.delay_margins import delay_stability
 
         return delay_stability(system)
-    from robustlab.dynamics.plant_contract import Plant as AnyPlant
+    from robustlab.dynamics.plant_base import Plant as AnyPlant
     from robustlab.linear_analysis.structural import structure
 
     return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
@@ -243,7 +243,7 @@ def uncertain(
 
     Example: robustlab uncertain plant dc-motor --tolerance Kf=5% --out motor.h5
     """
-    from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+    from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
     from robustlab.uncertainty.elementwise import BuiltModel
 
     nominal, shares = plant.values, tolerances or {}

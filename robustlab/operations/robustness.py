@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import UsageError
+from robustlab.operations.common_parameters import Frequency, Loop, Search, Seed, Signals, System, Uncertain
 from robustlab.operations.declaration import InLoop, operation
-from robustlab.operations.kinds import Flag, Number
-from robustlab.operations.words import Frequency, Loop, Search, Seed, Signals, System, Uncertain
+from robustlab.operations.parameter_types import Flag, Number
 
 AT, GAINS = "mu_analysis.margins.at_frequencies.", "analysis.gains_and_margins."
 Intervals = Annotated[bool, Flag(only="command"), "Print the proved frequency intervals."]

@@ -1,6 +1,6 @@
 """Recipes: a TOML file of steps and requirements, checked before anything runs, and run to a result and a report."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -16,12 +16,12 @@ from pydantic import ValidationError
 
 import robustlab as rl
 from robustlab.errors import InputError, RobustlabError, UsageError, did_you_mean, rewritten, unknown_name
-from robustlab.files.signature import parse_document
+from robustlab.files.file_types import parse_document
 from robustlab.operations.declaration import STEPS, in_toml
-from robustlab.operations.kinds import Names, Table, Thing
+from robustlab.operations.parameter_types import Names, Table, Thing
+from robustlab.recipe.builtin_recipes import shipped_folder, shipped_recipes
 from robustlab.recipe.schema import Recipe, Requirement, recipe_model
-from robustlab.recipe.shipped import shipped_folder, shipped_recipes
-from robustlab.recipe.steps.contract import KINDS, Ahead, Inferred, Step, look_ahead
+from robustlab.recipe.steps.step import KINDS, Ahead, Inferred, Step, look_ahead
 from robustlab.units import same_unit
 
 MAX_BYTES = 1 << 20
@@ -300,7 +300,7 @@ def recipe_path(given: str) -> Path:
 
 
 # --- checks before the first step: files, signals, units and required results ----------------------------------------
-# What needs a computation is not checked (`robustlab.recipe.steps.contract.Step.infer`).
+# What needs a computation is not checked (`robustlab.recipe.steps.step.Step.infer`).
 
 # Objects that a loaded file may hold, and those that a step may require.
 HELD = (rl.StateSpaceModel, rl.UncertainModel, rl.Controller, rl.Record)

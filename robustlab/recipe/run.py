@@ -28,11 +28,11 @@ from robustlab.errors import (
     RobustlabError,
 )
 from robustlab.files.atomic import atomic_write
-from robustlab.files.signature import parse_document, require_file
+from robustlab.files.file_types import parse_document, require_file
 from robustlab.provenance import Provenance, file_sha256
 from robustlab.recipe.load import LoadedRecipe, at_step, look_through, references, step_hint
 from robustlab.recipe.schema import Judgement, Recipe, judge
-from robustlab.recipe.steps.contract import Fact, Outcome, Step, Workspace
+from robustlab.recipe.steps.step import Fact, Outcome, Step, Workspace
 from robustlab.report.html import ending_of, junit_xml, render
 from robustlab.result import Status, least_trusted, plain
 from robustlab.verification.files import claims_in_file

@@ -12,7 +12,7 @@ from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 from robustlab.errors import InputError
-from robustlab.recipe.steps.contract import KINDS, Step, Strict, Text, nothing_there
+from robustlab.recipe.steps.step import KINDS, Step, Strict, Text, nothing_there
 
 StepName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=60)]
 STEPS: Any = Field(min_length=1, max_length=200, description="Run in the order written.")

@@ -1,6 +1,6 @@
 """Reports: figures, a self-contained HTML page, a JUnit file."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

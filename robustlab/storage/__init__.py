@@ -1,6 +1,6 @@
 """Load and save models, records and results in format 1 and plain files."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -470,7 +470,7 @@ BY_KIND = {
         Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController"),
         Codec("controller", "synthesis.problem.design.Controller"),
         Codec("record", "record.Record"),
-        Codec("plant", "dynamics.plant_contract.Plant", "plants"),
+        Codec("plant", "dynamics.plant_base.Plant", "plants"),
         Codec("result", "result.Result"),
     )
 }

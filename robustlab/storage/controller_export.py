@@ -18,7 +18,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.feed_forward import FeedForward
-from robustlab.dynamics.plant_contract import Plant
+from robustlab.dynamics.plant_base import Plant
 from robustlab.errors import InputError, UnitMismatch, UsageError, error_context
 from robustlab.files.atomic import atomic_write
 from robustlab.provenance import Provenance

@@ -13,8 +13,8 @@ import numpy as np
 
 from robustlab.errors import InputError, UsageError, did_you_mean, error_context
 from robustlab.files.atomic import atomic_write
+from robustlab.files.file_types import Limits, content_of, parse_document
 from robustlab.files.hdf5 import read_tree, write_tree
-from robustlab.files.signature import Limits, content_of, parse_document
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
 from robustlab.signals import Taken
@@ -24,7 +24,7 @@ from robustlab.storage.matrices import NAMES, PAIR, SIGNAL, Problems, decode_pai
 
 if TYPE_CHECKING:
     from robustlab.delays.model import DelayedModel
-    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.dynamics.plant_base import Plant
     from robustlab.record import Record
     from robustlab.result import Result
     from robustlab.synthesis.problem.design import Controller
@@ -118,7 +118,7 @@ def is_plant_file(name: str) -> bool:
 
 def load_plant(path: str) -> Any:
     """Return the plant in a file. Raises InputError: the file holds another object."""
-    from robustlab.dynamics.plant_contract import Plant
+    from robustlab.dynamics.plant_base import Plant
 
     found = load(path)
     if not isinstance(found, Plant):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant, PortPlace
+from robustlab.dynamics.plant_base import NonlinearPlant, Plant, PortPlace
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.files.tree import Tree, text_attr
 from robustlab.statespace import StateSpaceModel
@@ -244,7 +244,7 @@ def _from_name(group: Tree, problems: Problems) -> Plant:
 
 def _with_effects(base: Any, group: Tree, problems: Problems) -> Plant:
     from robustlab.dynamics.effects.catalogue import effect
-    from robustlab.dynamics.effects.contract import Site
+    from robustlab.dynamics.effects.effect import Site
     from robustlab.dynamics.extended.attached_effect import AttachedEffect
     from robustlab.dynamics.extended.extended_plant import with_effects
 

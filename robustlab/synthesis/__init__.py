@@ -4,7 +4,7 @@ problem, specifications, structures, hinf, h2, dk, scheduling, reduction, fixed_
 sampled_norm, discretisation.
 """
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

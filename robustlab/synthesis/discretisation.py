@@ -30,7 +30,7 @@ from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels, relative_loss
-from robustlab.synthesis.problem.partition import as_generalized_plant
+from robustlab.synthesis.problem.generalized_plant import as_generalized_plant
 from robustlab.synthesis.sampled_norm import SampledDataNorm, check_sampling, lift, sampled_loop_norm, with_antialiasing
 
 Method = Literal["tustin", "tustin-prewarp", "zoh", "foh"]

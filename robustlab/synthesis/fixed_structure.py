@@ -26,18 +26,18 @@ from robustlab.synthesis.h2 import synthesize_h2
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.certify import Certificate, certified
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
-from robustlab.synthesis.problem.limits import require_stabilisable
-from robustlab.synthesis.problem.partition import (
+from robustlab.synthesis.problem.gamma_lower_bound import require_stabilisable
+from robustlab.synthesis.problem.generalized_plant import (
     GeneralizedPlant,
     as_generalized_plant,
     common_scaling,
     require_performance,
 )
 from robustlab.synthesis.reduction.model_reduction import reduce_model
-from robustlab.synthesis.structures.laws import FixedOrder, Law, as_structure
-from robustlab.synthesis.structures.search import DesignProblem, Limit, Start, multi_start
+from robustlab.synthesis.structures.controller_structures import FixedOrder, Law, as_structure
+from robustlab.synthesis.structures.objectives import DesignProblem, Limit, Start, multi_start
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import realise_delta
+from robustlab.uncertainty.perturbation_systems import realise_delta
 
 WHERE = "synth fixed"
 VERIFIED = 4  # best candidates that are verified: the norm of the search is not a proof. More: slower, seldom better
@@ -193,8 +193,8 @@ def fixed_structure(
         model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
         is reported.
     structure
-        A structure of `robustlab.synthesis.structures.laws`, an order, a mask of a static gain, a list of structures
-        (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
+        A structure of `robustlab.synthesis.structures.controller_structures`, an order, a mask of a static gain, a list
+        of structures (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
     objective, limits, bounds
         ``"hinf"`` or ``"h2"``; limits of the design: `Decay`, `Damping`, `Bandwidth`, `StableController`, `RollOff`;
         ``(low, high)`` by parameter name.

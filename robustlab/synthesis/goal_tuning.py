@@ -23,11 +23,11 @@ from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, append, as_model, series
 from robustlab.synthesis import fixed_structure as fixed
 from robustlab.synthesis.problem.design import design_budget, final_status
-from robustlab.synthesis.problem.limits import gamma_bound
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.gamma_lower_bound import gamma_bound
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant
 from robustlab.synthesis.specifications.weight_design import performance_weight, weight_on_channels
-from robustlab.synthesis.structures.laws import Law
-from robustlab.synthesis.structures.search import DesignProblem, Limit, multi_start, refined
+from robustlab.synthesis.structures.controller_structures import Law
+from robustlab.synthesis.structures.objectives import DesignProblem, Limit, multi_start, refined
 
 INPUTS = ("reference", "disturbance", "noise")
 OUTPUTS = ("output", "control", "total", "error")

@@ -27,8 +27,8 @@ from robustlab.synthesis.problem.certify import (
     with_direct_term,
 )
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status
-from robustlab.synthesis.problem.limits import require_stabilisable
-from robustlab.synthesis.problem.partition import (
+from robustlab.synthesis.problem.gamma_lower_bound import require_stabilisable
+from robustlab.synthesis.problem.generalized_plant import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,

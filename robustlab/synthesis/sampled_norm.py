@@ -23,7 +23,7 @@ from robustlab.norms import HinfNorm, PeakGain, hinf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 from robustlab.synthesis.problem.certify import certified
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant, require_performance
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, as_generalized_plant, require_performance
 
 INTERVALS = (2, 4, 8, 16, 32, 64)  # of a period, tried in this order until the bracket is closed
 MOST_LIFTED = 256  # lifted disturbance or performance channels at most: norms cost their cube

@@ -1,6 +1,6 @@
 """The thesis: comparison with its printed numbers, its simulated experiments, its figures."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -1,6 +1,6 @@
 """Uncertain models: sets ``F_u(M, Delta)`` over structured perturbations Delta."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,
@@ -8,8 +8,8 @@ __all__, __getattr__ = lazily(
         "blocks": "as_blocks Block block_slices delta_matrix delta_values structure_size",
         "elementwise": "STRUCTURES elementwise_cover endpoint_residual",
         "unstructured": "FORMS",
-        "distances": "coprime_factors four_block",
+        "gap_metric": "coprime_factors four_block",
         "covers": "error_sizes",
-        "realised_delta": "realise_delta",
+        "perturbation_systems": "realise_delta",
     },
 )

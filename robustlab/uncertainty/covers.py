@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike
 from robustlab import checks
 from robustlab.arrays import AnyArray, Array, Indices
 from robustlab.budget import one_thread
+from robustlab.conversion import cascade
 from robustlab.display import Displayable, Facts, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.matrices import of_system_matrix, system_matrix
 from robustlab.linear_analysis.zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete, hinf_norm
-from robustlab.realisations import cascade
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar

@@ -426,7 +426,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs. Complex
         values are refused at the ends of the axis, where systems with real coefficients are real.
         """
-        from robustlab.uncertainty.realised_delta import realise_delta  # loads the norms
+        from robustlab.uncertainty.perturbation_systems import realise_delta  # loads the norms
 
         return realise_delta(self.blocks, delta, frequency, self.dt)
 

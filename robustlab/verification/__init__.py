@@ -1,6 +1,6 @@
 """A second, small program that checks claims from their numbers alone, in exact and ball arithmetic."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

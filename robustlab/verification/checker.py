@@ -66,7 +66,7 @@ KINDS: Mapping[str, _Kind] = {
     "worst-gain-boxes": _Kind(
         lambda c, w: prove_mu_axis(as_performance(c), w, boxed=True), GAIN, "gamma", "worst-case gain <="),
     "iqc-size": _Kind(
-        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their block_types within size times "
+        lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their types within size times "
         "their ranges", "size", "size >="),
     "iqc-gain": _Kind(
         lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their block_types", "gamma",

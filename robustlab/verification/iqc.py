@@ -43,7 +43,7 @@ class BlockType:
         return 0 if fast or self.kind == SECTOR or (self.kind == SLOPE and not self.steady) else order
 
 
-def read_natures(claim: Claim, blocks: Sequence[Block]) -> list[BlockType]:
+def read_block_types(claim: Claim, blocks: Sequence[Block]) -> list[BlockType]:
     """Read ``nature`` (k, 3): kind, odd, steady; ``ranges``, ``slope`` (k, 2), ``rate`` (k,)."""
     k = len(blocks)
     table, rates = whole(claim, "nature", (k, 3)).tolist(), real(claim, "rate", (k,), infinite=True).tolist()
@@ -225,7 +225,7 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
     if given.dt or rows > given.m or cols > given.p or (not gain and (rows, cols) != (given.m, given.p)):
         raise InputError("A .. D", f"{given.p} x {given.m}, dt {given.dt}", f"continuous, with {rows} w and {cols} z")
     blocks = placed(table, [1.0] * len(table))
-    block_types, order, pole = read_natures(claim, blocks), int(whole(claim, "order", ())), scalar(claim, "pole")
+    block_types, order, pole = read_block_types(claim, blocks), int(whole(claim, "order", ())), scalar(claim, "pole")
     if not 0 <= order <= HIGHEST:
         raise InputError("order", f"{order}", f"0 to {HIGHEST}")
     size, gamma = (1.0, scalar(claim, "gamma")) if gain else (scalar(claim, "size"), 0.0)
@@ -248,7 +248,11 @@ def prove_multipliers(claim: Claim, work: Work, gain: bool) -> Verdict:
         F, x = Filtered(G, filters, extra), Multipliers(values, work)
         S = zeros(F.width, F.width)
         for i, (block, block_type) in enumerate(zip(blocks, block_types, strict=True)):
-            rho = arb(block_type.rate) * 2 / (arb(block_type.range[1]) - arb(block_type.range[0])) / arb(size) if rated[i] else None
+            rho = (
+                arb(block_type.rate) * 2 / (arb(block_type.range[1]) - arb(block_type.range[0])) / arb(size)
+                if rated[i]
+                else None
+            )
             if block_type.kind in (SECTOR, SLOPE):
                 S = S + law(F, block, block_type, orders[i], pole, free[i], x)
             else:

@@ -3,7 +3,7 @@
 Every result is attained by the returned Delta; none is a proved bound.
 """
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

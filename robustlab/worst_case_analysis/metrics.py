@@ -19,7 +19,7 @@ from robustlab.linear_analysis.structural import drop_unconnected
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_matrix
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import (
+from robustlab.worst_case_analysis.batched_members import (
     Deltas,
     Ensemble,
     Excitation,

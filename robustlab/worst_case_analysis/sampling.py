@@ -14,14 +14,14 @@ from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Displayable, Facts, listed, number, with_units
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, Plant
+from robustlab.dynamics.plant_base import NonlinearPlant, Plant
 from robustlab.dynamics.simulation import simulate
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import Signal, real_array
 from robustlab.uncertainty.blocks import RealScalar
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import (
+from robustlab.worst_case_analysis.batched_members import (
     Deltas,
     Excitation,
     MemberSet,

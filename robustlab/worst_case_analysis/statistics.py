@@ -23,7 +23,7 @@ from robustlab.result import Status, Table, Tabular
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.units import amount
-from robustlab.worst_case_analysis.members import Deltas
+from robustlab.worst_case_analysis.batched_members import Deltas
 from robustlab.worst_case_analysis.metrics import Metric, make_metric, name_of, values_at
 
 SMALLEST_SHARE = 1e-14  # needs some 10^15 samples

@@ -19,7 +19,7 @@ from robustlab.result import Evidence, Status
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import delta_values
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import MemberSet, chunks, vertex_signs
+from robustlab.worst_case_analysis.batched_members import MemberSet, chunks, vertex_signs
 from robustlab.worst_case_analysis.metrics import Metric, TimeMetric, make_metric, name_of
 
 LABEL = "sampled: a lower bound of the true worst case"

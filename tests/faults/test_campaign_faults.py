@@ -17,10 +17,10 @@ from patience import PATIENCE
 import robustlab as rl
 from robustlab.campaign import (
     CampaignSettings,
-    WorkerOptions,
     Identity,
     Rows,
     Store,
+    WorkerOptions,
     read_campaign,
     resume_campaign,
     run_campaign,
@@ -116,7 +116,7 @@ def test_more_than_one_percent_lost_stops(tmp_path, motor):
     store.save(Rows(0, np.full(4, np.nan), np.zeros((4, 2)), np.ones(4), dict.fromkeys(range(4), "gone")))
     store.close()
     with pytest.raises(NoTrustworthyNumber, match="4 of 300 samples are lost") as caught:
-        resume_campaign(tmp_path / "s.sqlite", crew=WorkerOptions(1))
+        resume_campaign(tmp_path / "s.sqlite", workers=WorkerOptions(1))
     assert "sample 0: gone" in str(caught.value)
 
 
@@ -145,7 +145,7 @@ def test_changed_settings_model_and_code_are_refused_by_name(tmp_path, motor):
 
 def test_restart(tmp_path, motor):
     path = begun(tmp_path / "s.sqlite", motor, n=64)
-    fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", crew=WorkerOptions(1))
+    fresh = run_campaign(motor, settings_of(n=64), path, existing="restart", workers=WorkerOptions(1))
     assert (fresh.store, fresh.done) == (str(path), 64)
     assert fresh.worst < 63.0
 
@@ -185,7 +185,7 @@ def test_a_file_of_another_kind_is_never_overwritten(tmp_path, motor, existing):
 def test_an_empty_file_is_begun_and_a_value_changed_after_the_end_is_noticed(tmp_path, motor):
     path = tmp_path / "s.sqlite"
     path.touch()
-    assert run_campaign(motor, settings_of(n=64), path, crew=WorkerOptions(1)).done == 64
+    assert run_campaign(motor, settings_of(n=64), path, workers=WorkerOptions(1)).done == 64
     with closing(sqlite3.connect(path)) as db:
         db.execute("UPDATE sample SET value = value * 1.0000001 WHERE idx = 5")
         db.commit()
@@ -234,16 +234,16 @@ def test_a_worker_that_ends_ends_the_run_and_the_store_is_continued(tmp_path, mo
     monkeypatch.setattr("robustlab.campaign.runs._end_with_parent", os.abort)
     path = tmp_path / "s.sqlite"
     with pytest.raises(EnvironmentFault, match="a worker failed") as caught:
-        run_campaign(motor, settings_of(), path, crew=WorkerOptions(1))
+        run_campaign(motor, settings_of(), path, workers=WorkerOptions(1))
     assert f"robustlab campaign resume {path}" in str(caught.value)
     monkeypatch.undo()
-    assert resume_campaign(path, crew=WorkerOptions(1)).done == 300
+    assert resume_campaign(path, workers=WorkerOptions(1)).done == 300
 
 
 def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(DependencyMissing, match=r"needs dask\.distributed") as caught:
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=WorkerOptions(cluster="tcp://127.0.0.1:1"))
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=WorkerOptions(cluster="tcp://127.0.0.1:1"))
     assert "pip install 'robustlab[cluster]'" in str(caught.value)
     assert caught.value.exit_code == 5
 
@@ -251,4 +251,4 @@ def test_the_missing_extra_is_named_with_its_command(tmp_path, motor, monkeypatc
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])
 def test_workers_are_a_whole_number(tmp_path, motor, workers):
     with pytest.raises(InputError, match="workers"):
-        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", crew=WorkerOptions(workers))
+        run_campaign(motor, settings_of(), tmp_path / "s.sqlite", workers=WorkerOptions(workers))

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robustlab as rl
-from robustlab.clocks import summarise_clock
 from robustlab.files import Channel, Source, choose
+from robustlab.time_base import summarise_clock
 
 NUMBERS = st.floats(-1e300, 1e300, allow_nan=False)
 CHARACTERS = st.characters(codec="utf-8", exclude_characters="\x00", exclude_categories=("Cc", "Cs"))

@@ -10,12 +10,12 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.checks import number
-from robustlab.dynamics.effects.contract import EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.effect import EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.parameter_effects import InputDeadZone
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
+from robustlab.dynamics.plant_base import LocalModels, NonlinearPlant, Plant, PlantAlong, PortPlace, Trim
 from robustlab.dynamics.ports.law_kernel import V, law
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel
 from robustlab.errors import InputError

@@ -28,7 +28,7 @@ from robustlab.dynamics.control.controlled_plant import (
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.linearisation import linearise, trim
-from robustlab.dynamics.plant_contract import Trim
+from robustlab.dynamics.plant_base import Trim
 from robustlab.dynamics.simulation import simulate
 from robustlab.dynamics.stewart.stewart_platform import StewartPlatform, check_pose, inside, nut_angles
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from robustlab.dynamics.effects import friction_effects, parameter_effects, spring_effects
-from robustlab.dynamics.effects.contract import OWN, Effect
+from robustlab.dynamics.effects.effect import OWN, Effect
 from robustlab.errors import InputError, unknown_name
 
 __all__ = ["friction_effects", "parameter_effects", "spring_effects"]  # they fill OWN

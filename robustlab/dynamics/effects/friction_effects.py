@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numba as nb
 
-from robustlab.dynamics.effects.contract import Effect, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, Footprint, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import (
     CLOSE,
     GQ,

@@ -15,9 +15,9 @@ import numba as nb
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Prior, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, EffectParameter, Footprint, Prior, Scales, Site
 from robustlab.dynamics.effects.friction_effects import order_prior
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, port_model
 from robustlab.errors import InputError
 

@@ -10,7 +10,7 @@ import numba as nb
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, Footprint, Law, Prior, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, Footprint, Law, Prior, Scales, Site
 from robustlab.dynamics.ports.law_kernel import GQ, GV, Q0, STEP, V0, Q, V, bracket, guess, is_open, law, narrowed
 from robustlab.dynamics.ports.port_model import PortModel, with_load_side
 

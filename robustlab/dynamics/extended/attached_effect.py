@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Footprint, Law, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, EffectParameter, Footprint, Law, Scales, Site
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel
 from robustlab.errors import InputError, did_you_mean, unknown_name
 from robustlab.statespace import real_array

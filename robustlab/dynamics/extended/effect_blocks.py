@@ -23,13 +23,13 @@ from robustlab.delays.approximation import checked_order
 from robustlab.delays.model import covering
 from robustlab.display import AllFields, Displayable, Facts, Part, listed, number
 from robustlab.dynamics.descriptor_elimination import with_outputs
-from robustlab.dynamics.effects.contract import Footprint, Law
+from robustlab.dynamics.effects.effect import Footprint, Law
 from robustlab.dynamics.extended.attached_effect import AttachedEffect, is_set_valued, rest_band, steady_force
 from robustlab.dynamics.extended.extended_plant import ExtendedPlant, extended_model, with_effects
 from robustlab.dynamics.extended.simulator import factors_of
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant, tied_plant, with_factors
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import Trim
+from robustlab.dynamics.plant_base import Trim
 from robustlab.dynamics.ports.port_model import Port, PortModel
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.linear_analysis.frequency import frequency_response

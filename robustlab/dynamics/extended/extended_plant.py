@@ -18,7 +18,8 @@ from robustlab.arrays import Array
 from robustlab.checks import number, whole
 from robustlab.delays.approximation import pade as rational_delay
 from robustlab.display import AllFields, listed
-from robustlab.dynamics.effects.contract import Law
+from robustlab.dynamics.effects.effect import Law
+from robustlab.dynamics.equilibrium import PASSES, trim_conditions
 from robustlab.dynamics.extended.attached_effect import (
     DEFAULT_AMPLITUDE,
     POSITION_STEP,
@@ -44,9 +45,8 @@ from robustlab.dynamics.extended.simulator import (
     with_linear_parts,
 )
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant, Trim, point_of
+from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant, Trim, point_of
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, linear_plant_of, local_port_model, port_model
-from robustlab.dynamics.rest import PASSES, trim_conditions
 from robustlab.dynamics.simulation import CLOCK_JITTER
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, unknown_name
 from robustlab.result import Status

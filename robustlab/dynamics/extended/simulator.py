@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array
-from robustlab.dynamics.effects.contract import Effect, Law, Site
+from robustlab.dynamics.effects.effect import Effect, Law, Site
 from robustlab.dynamics.extended.attached_effect import AttachedEffect
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
+from robustlab.dynamics.plant_base import LocalModels, NonlinearPlant
 from robustlab.dynamics.ports.port_model import (
     AnyPlant,
     Course,

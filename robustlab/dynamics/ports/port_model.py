@@ -18,7 +18,7 @@ from robustlab.arrays import Array, Indices
 from robustlab.checks import number
 from robustlab.dynamics.linear_plant import Descriptor, LinearPlant
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant
+from robustlab.dynamics.plant_base import LocalModels, NonlinearPlant
 from robustlab.errors import InputError, RobustlabError
 from robustlab.statespace import StateSpaceModel
 

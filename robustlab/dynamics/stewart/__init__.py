@@ -1,6 +1,6 @@
 """The Stewart platform: geometry, kinematics, rigid-body dynamics, plant."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -24,11 +24,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.display import Displayable
-from robustlab.dynamics.descriptor_family import TrimmedDescriptor
+from robustlab.dynamics.equilibrium import descriptor
 from robustlab.dynamics.integrator import compiled
 from robustlab.dynamics.parameters import Parameter, overridden, published
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
-from robustlab.dynamics.rest import descriptor
+from robustlab.dynamics.parametric_descriptor import TrimmedDescriptor
+from robustlab.dynamics.plant_base import InputSignal, LocalModels, PlantAlong, PortPlace, Trim
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array

@@ -11,7 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from robustlab.dynamics.parameters import Parameter, Role, Sign, overridden
-from robustlab.dynamics.plant_contract import PortPlace
+from robustlab.dynamics.plant_base import PortPlace
 from robustlab.dynamics.symbolic.symbolic_plant import Equations, SymbolicPlant, labels, tape_of
 from robustlab.errors import DependencyMissing, InputError, did_you_mean
 from robustlab.signals import MAX_NAME

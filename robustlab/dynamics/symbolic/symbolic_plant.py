@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
+from robustlab.dynamics.equilibrium import PASSES, RANK, STILL, evaluated, newton, trim_conditions
 from robustlab.dynamics.integrator import compiled
-from robustlab.dynamics.plant_contract import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
-from robustlab.dynamics.rest import PASSES, RANK, STILL, evaluated, newton, trim_conditions
+from robustlab.dynamics.plant_base import InputSignal, LocalModels, NonlinearPlant, PlantAlong, PortPlace, Trim
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.result import Status
 from robustlab.statespace import Signal, real_array
@@ -104,7 +104,7 @@ def _within(name: str, places: Places, limit: Any) -> None:
 @cache
 def tape_kernels() -> ModuleType:
     return compiled(
-        "symbolic.tape_kernels", "compiling the evaluation of plants (once on this machine, some seconds) ..."
+        "symbolic.expression_kernels", "compiling the evaluation of plants (once on this machine, some seconds) ..."
     )
 
 
@@ -214,7 +214,7 @@ class Equations:
     # f (n_x,) and h (n_y,)
     rates: Tape
     outputs: Tape
-    models: Tape  # f, h, A, B, C, D and push of `robustlab.dynamics.plant_contract.LocalModels`, each row by row
+    models: Tape  # f, h, A, B, C, D and push of `robustlab.dynamics.plant_base.LocalModels`, each row by row
     places: tuple[PortPlace, ...]  # where forces act, in the order of push
 
 

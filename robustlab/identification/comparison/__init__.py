@@ -1,6 +1,6 @@
 """Comparison of a model with a measurement: error, its distribution, equivalent input disturbance, noise floor."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import Array
 from robustlab.budget import one_thread
 from robustlab.display import Each, Facts, listed, number
-from robustlab.dynamics.plant_contract import LocalModels, NonlinearPlant, SteppedPlant, input_signal
+from robustlab.dynamics.plant_base import LocalModels, NonlinearPlant, SteppedPlant, input_signal
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification.comparison.error_analysis import (
     Bin,

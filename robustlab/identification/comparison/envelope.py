@@ -14,7 +14,7 @@ import numpy as np
 from robustlab import checks
 from robustlab.arrays import Array
 from robustlab.display import Each, Facts, number
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.errors import InputError, NoTrustworthyNumber, unknown_name
 from robustlab.identification.response.response import SHORTEST_START, LinearResponse, response_of, starting_state
 from robustlab.record import Record

@@ -1,6 +1,6 @@
 """Data checks of a record: channels, columns, time base, and fitness for effect identification."""
 
-from robustlab.lazily import lazily
+from robustlab.public_names import lazily
 
 __all__, __getattr__ = lazily(
     __name__,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Course
 from robustlab.dynamics.simulation import transition
 from robustlab.errors import NoTrustworthyNumber
@@ -26,7 +26,7 @@ from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import StateSpaceModel
 from robustlab.units import unit_family
-from robustlab.worst_case_analysis.members import recursion
+from robustlab.worst_case_analysis.batched_members import recursion
 
 LONGEST = 600  # samples used
 WINDOW = 100  # samples

@@ -12,7 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Mask
-from robustlab.clocks import (
+from robustlab.dynamics.linear_plant import LinearPlant
+from robustlab.errors import InputError
+from robustlab.record import Record
+from robustlab.time_base import (
     NEAR,
     SAME_TIME,
     checked_step,
@@ -22,9 +25,6 @@ from robustlab.clocks import (
     interpolated,
     summarise_clock,
 )
-from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.errors import InputError
-from robustlab.record import Record
 
 
 class Gap(NamedTuple):

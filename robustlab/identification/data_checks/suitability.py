@@ -13,9 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.clocks import summarise_clock
 from robustlab.display import Facts, Part
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.identification.data_checks.channel_identity import (
     Finding,
@@ -35,6 +34,7 @@ from robustlab.identification.response.response import (
 )
 from robustlab.record import Record
 from robustlab.result import Evidence, Status
+from robustlab.time_base import summarise_clock
 
 SHORTEST_CLIP = 5  # constant samples at the end of the range
 FEWEST_LEVELS = 20  # a signal with fewer levels (a switch, a coarse sensor) is not checked for clipping

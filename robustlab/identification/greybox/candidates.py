@@ -13,9 +13,9 @@ from scipy.ndimage import median_filter
 
 from robustlab.arrays import Array, Mask
 from robustlab.dynamics.effects.catalogue import catalogue
-from robustlab.dynamics.effects.contract import Scales, Site
+from robustlab.dynamics.effects.effect import Scales, Site
 from robustlab.dynamics.parameters import tolerance_of
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, parameter_groups, shares_behind
 from robustlab.errors import InputError, did_you_mean
 from robustlab.identification.greybox.effect_fit import UNIFORM, Candidate, Nuisance

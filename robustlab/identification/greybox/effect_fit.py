@@ -14,11 +14,11 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, EffectParameter, Scales, Site
 from robustlab.dynamics.extended.simulator import Hold, Simulator, Windows
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox.prepared_record import PreparedRecord, averaged
 
 CLIP = 1e6  # errors are clipped to this many standard deviations
@@ -555,14 +555,14 @@ class Problem:
         """Return derivatives of one record's residuals over the first ``count`` of z, and over the initial states."""
         # Finite differences from the residuals, which may be ``known``; one simulation has all changed initial states.
         (z, xi), n_x = at, at[1].shape[1]
-        moved = xi + tuning.START_STEP * np.eye(n_x)[:, None, :]
+        moved = xi + constants.START_STEP * np.eye(n_x)[:, None, :]
         points = [(z, moved if known is not None else np.concatenate([xi[None], moved]))]
-        points += [(z + tuning.STEP * unit, xi) for unit in np.eye(len(z))[:count]]
+        points += [(z + constants.STEP * unit, xi) for unit in np.eye(len(z))[:count]]
         found = noise.whitened(self._errors_at(k, simulator, hypothesis, points, around))
         found = found.reshape(-1, len(xi), found.shape[1])
         here, found = (found[0], found[1:]) if known is None else (known, found)
         change = np.moveaxis(found - here, 0, 2)
-        return change[:, :, n_x:] / tuning.STEP, change[:, :, :n_x] / tuning.START_STEP
+        return change[:, :, n_x:] / constants.STEP, change[:, :, :n_x] / constants.START_STEP
 
     def derivatives(self, fit: Fit) -> list[tuple[Array, Array]]:
         """Return derivatives of the residuals over the parameters and the initial states."""

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Course, exponentials
 from robustlab.errors import InputError, NoTrustworthyNumber, RobustlabError
 from robustlab.identification.greybox.disturbance_smoother import SmoothedRecord, output_shares, smooth_disturbance

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from robustlab.arrays import Array
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox.effect_fit import Fit, FitPlan, NoiseModel, Prior, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord
 
@@ -26,7 +26,7 @@ def first_noise(problem: Problem) -> NoiseModel:
     return NoiseModel(std, np.zeros((0, len(std))))
 
 
-def whitening(problem: Problem, fit: Fit, order: int = tuning.AR_ORDER) -> NoiseModel:
+def whitening(problem: Problem, fit: Fit, order: int = constants.AR_ORDER) -> NoiseModel:
     """Fit an autoregression and innovation size to a fit's errors, output by output."""
     # Errors that grow along a window look unstable: the roots are limited to a decay over one window.
     errors = problem.errors(fit.hypothesis, fit.z, fit.starts)
@@ -50,7 +50,7 @@ def widened(problem: Problem, fit: Fit, noise: NoiseModel) -> NoiseModel:
     """Enlarge the variance of the noise model to that of the scatter between windows."""
     # With the Hessian H of half the cost and the covariance J of the windows' gradients, independent errors have J = H
     # - 1; a missing effect makes J larger. Varin, Reid, Firth, composite likelihood (2011), 2.3.
-    there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(tuning.LAST, 0.05, robust=True))
+    there = problem.fit(fit.hypothesis, noise, fit.z, fit.starts, FitPlan(constants.LAST, 0.05, robust=True))
     assert there.covariance is not None
     expected = len(there.z) - float(np.trace(np.linalg.pinv(there.hessian)))
     excess = max(1.0, float(np.trace(there.covariance @ there.hessian)) / max(expected, 1e-9))
@@ -102,7 +102,7 @@ def clearly_larger(errors: Array, others: Array) -> bool:
     """Return whether mean square errors of windows exceed others in total, and significantly (95 %)."""
     tiny = np.finfo(float).tiny
     ratio = np.log(np.maximum(errors, tiny) / np.maximum(others, tiny))
-    if not errors.sum() > (1.0 + tuning.AS_LARGE) ** 2 * others.sum():
+    if not errors.sum() > (1.0 + constants.AS_LARGE) ** 2 * others.sum():
         return False
     if len(ratio) < 2 or not ratio.std() > 0.0:
         return bool(ratio.mean() > 0.0)
@@ -138,7 +138,7 @@ def _sizes(problem: Problem, fit: Fit) -> Array:
     return np.asarray(np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(known, 1)))
 
 
-def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = tuning.AR_ORDER) -> Fit:
+def settled(problem: Problem, fit: Fit, noise: NoiseModel, order: int = constants.AR_ORDER) -> Fit:
     """Refit for the report: errors whitened by their own model, covariance from the scatter of the windows."""
     # While an effect is missing, full whitening is wrong: order 1, from a least-squares fit, gives less weight to
     # differences between neighbouring points, which are sensitive to a small ripple.

@@ -14,7 +14,7 @@ from robustlab.dynamics.extended.simulator import SampledInput, Windows, rising
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Course, PortModel, motion_model, port_model
 from robustlab.errors import InputError
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox.disturbance_smoother import (
     SmoothedRecord,
     output_shares,
@@ -145,15 +145,15 @@ def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel |
     # At least the slowest time constant and two periods of the slowest resonance, if four windows fit. For a nonlinear
     # plant the fastest instability grows at most MOST_GROWTH times over a window.
     n, dt = min(r.n for r in records), records[0].dt
-    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), tuning.SHORTEST_WINDOW), LONGEST_WINDOW)
+    length = min(max(20 * n // (20 * WINDOWS_WANTED + 1), constants.SHORTEST_WINDOW), LONGEST_WINDOW)
     if isinstance(plant, LinearPlant):
         linear = plant.state_space()
         slowest = min(round(slowest_time_constant(linear) / dt), 2 * LONGEST_WINDOW)
-        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // tuning.FEWEST_WINDOWS)
+        return min(max(length, slowest, round(2.0 * longest_period(linear) / dt)), n // constants.FEWEST_WINDOWS)
     about = ports_of(plant, records[0]) if model is None else model
     growth = float(np.linalg.eigvals(about.A).real.max(initial=0.0))
     stable = math.log(MOST_GROWTH) / (growth * dt) if growth > 0.0 else math.inf
-    return int(min(length, max(stable, tuning.SHORTEST_WINDOW / 2), n // tuning.FEWEST_WINDOWS))
+    return int(min(length, max(stable, constants.SHORTEST_WINDOW / 2), n // constants.FEWEST_WINDOWS))
 
 
 def prepare(
@@ -173,7 +173,7 @@ def prepare(
     for j, k in enumerate(columns):
         if valid is not None and names[k] in valid:
             y[~valid[names[k]], j] = np.nan
-    where, fewest = f"discover {record.name}", tuning.FEWEST_WINDOWS
+    where, fewest = f"discover {record.name}", constants.FEWEST_WINDOWS
     if record.n // length < fewest:
         raise InputError(where, f"{record.n} samples", f"at least {fewest * length} ({fewest} windows)")
     joints = [p for p in model.ports.values() if p.kind == "joint"]

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.effects.contract import Effect, EffectParameter, Law, Scales, Site
+from robustlab.dynamics.effects.effect import Effect, EffectParameter, Law, Scales, Site
 from robustlab.dynamics.extended.simulator import Simulator
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.law_kernel import TIME, law
 from robustlab.identification.greybox.effect_fit import Fit, Hypothesis, NoiseModel, Problem
 from robustlab.identification.greybox.prepared_record import averaged

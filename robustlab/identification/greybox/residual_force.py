@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, ComplexArray
-from robustlab.dynamics.effects.contract import Site
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.effects.effect import Site
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant
 from robustlab.errors import RobustlabError
 from robustlab.identification.greybox.effect_fit import Fit, Problem

@@ -13,10 +13,10 @@ from robustlab.budget import one_thread
 from robustlab.checks import number
 from robustlab.dynamics.effects.catalogue import effect
 from robustlab.dynamics.linear_plant import LinearPlant
-from robustlab.dynamics.plant_contract import NonlinearPlant, SteppedPlant
+from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, PortModel, linear_plant_of, parameter_groups
 from robustlab.errors import InputError, error_context
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.data_checks.resampling import clock_step, counted_from, position_datum, uniform
 from robustlab.identification.data_checks.suitability import Finding, suitability
 from robustlab.identification.greybox.candidates import (
@@ -29,10 +29,10 @@ from robustlab.identification.greybox.candidates import (
 )
 from robustlab.identification.greybox.effect_fit import Candidate, Clock, Fit, Hypothesis, Nuisance, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord, alike, ports_of, prepare, window_length
-from robustlab.identification.missing_effects.answer import answer
+from robustlab.identification.missing_effects.build_result import answer
 from robustlab.identification.missing_effects.discovery_result import Discovery
+from robustlab.identification.missing_effects.effect_search import Search, clock_nuisances
 from robustlab.identification.missing_effects.posterior import weigh
-from robustlab.identification.missing_effects.set_search import Search, clock_nuisances
 from robustlab.identification.response.response import converted, with_units
 from robustlab.record import Record
 from robustlab.statespace import StateSpaceModel, as_model
@@ -164,8 +164,8 @@ def discover(
     most, held_most = MOST_WINDOWS, MOST_HELD
     if not isinstance(known, LinearPlant):  # expensive
         length = problem.records[0].windows.length
-        most = min(MOST_WINDOWS, max(2 * tuning.FEWEST_WINDOWS, MOST_SAMPLES // length))
-        held_most = min(MOST_HELD, max(tuning.FEWEST_WINDOWS, most // 2))
+        most = min(MOST_WINDOWS, max(2 * constants.FEWEST_WINDOWS, MOST_SAMPLES // length))
+        held_most = min(MOST_HELD, max(constants.FEWEST_WINDOWS, most // 2))
     allowed = admissible(known, stated, problem, held)
     found = Search(_spread(problem, most), _spread(held, held_most), pool, allowed, report).run()
     report(0.0, 0.0, "what remains")
@@ -223,11 +223,11 @@ def _problems(
     def cut(length: int) -> list[PreparedRecord]:
         return alike([prepare(plant, model, u.record, length, dict(u.valid), seen) for u in uniformed])
 
-    prepared, clock = cut(length), Clock(tuning.LEAST_STEPS)
-    while isinstance(plant, NonlinearPlant) and window is None and length > tuning.SHORTEST_WINDOW:
-        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < tuning.MOST_DEVIATION:
+    prepared, clock = cut(length), Clock(constants.LEAST_STEPS)
+    while isinstance(plant, NonlinearPlant) and window is None and length > constants.SHORTEST_WINDOW:
+        if _deviation(Problem(plant, prepared[: len(records)], (), clock=clock)) < constants.MOST_DEVIATION:
             break
-        length = max(length // 2, tuning.SHORTEST_WINDOW)
+        length = max(length // 2, constants.SHORTEST_WINDOW)
         prepared = cut(length)
     fitted, judged = prepared[: len(records)], prepared[len(records) :]
     nuisances: tuple[Nuisance, ...] = nuisance_parameters(plant, stated)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from robustlab.display import Each, Facts, Part, listed, number
 from robustlab.dynamics.effects.catalogue import KINDS, catalogue, effect
-from robustlab.dynamics.effects.contract import Effect, Scales
+from robustlab.dynamics.effects.effect import Effect, Scales
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
-from robustlab.identification.tuning import SURE
+from robustlab.identification.constants import SURE
 from robustlab.result import Evidence, Status, Table, Tabular
 
 if TYPE_CHECKING:

@@ -17,18 +17,18 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.catalogue import KIND_OF, KINDS, Kind, Quantity, upwards
-from robustlab.dynamics.effects.contract import Site
+from robustlab.dynamics.effects.effect import Site
 from robustlab.dynamics.effects.parameter_effects import GroundedEffect
 from robustlab.dynamics.extended.simulator import Windows
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, port_model
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox import noise as noises
 from robustlab.identification.greybox import residual_force as residual
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Hypothesis, NoiseModel, Problem, refit_distance
 from robustlab.identification.greybox.random_force import FittedWindows
 from robustlab.identification.missing_effects.discovery_result import EffectValue, NamedKind, wave_amplitude
-from robustlab.identification.missing_effects.set_search import Found, Key, Scored, related
+from robustlab.identification.missing_effects.effect_search import Found, Key, Scored, related
 
 TEMPERATURE = 1.0  # smallest divisor of log evidence: above 1, less sure
 MOST_WEIGHED = 5  # sets evaluated under a random force
@@ -144,7 +144,7 @@ def weigh(found: Found) -> Posterior:
     ordered, generalises = _generalising(found)
     # If the error is far beyond the sensor noise, a random force predicts the next sample better than any law: then the
     # simulated windows determine the evidence, and the force only shows whether something remains.
-    near = noises.noise_ratio(problem, ordered[0].fit) < tuning.BEYOND_NOISE
+    near = noises.noise_ratio(problem, ordered[0].fit) < constants.BEYOND_NOISE
     weights = _weights(found, ordered) if near else {}
     evidence = {v.key: v.evidence for v in ordered}
     if ordered[0].key in weights:
@@ -174,7 +174,7 @@ def weigh(found: Found) -> Posterior:
     before = np.cumsum([0.0, *(w.probability for w in sets)])
     collection = tuple(
         w for w, total in zip(sets, before.tolist(), strict=False)
-        if total < tuning.SURE or distance.get(w.key, np.inf) < tuning.CANNOT_TELL
+        if total < constants.SURE or distance.get(w.key, np.inf) < constants.CANNOT_TELL
     )  # fmt: skip
     return Posterior(tuple(sets), collection, generalises, weights.get(sets[0].key), temperature > TEMPERATURE)
 
@@ -192,14 +192,14 @@ def _temperature(best: Scored, weights: Mapping[Key, Weight]) -> float:
     left = weights[best.key].left if best.key in weights else ()
     smooth = (f.gain for u in left for f in u.forces if f.wins and not np.isfinite(f.period))
     gain = max(smooth, default=0.0)
-    return max(TEMPERATURE, gain / float(np.log(tuning.SURE / (1.0 - tuning.SURE))))
+    return max(TEMPERATURE, gain / float(np.log(constants.SURE / (1.0 - constants.SURE))))
 
 
 def _weights(found: Found, ordered: Sequence[Scored]) -> dict[Key, Weight]:
     """Evaluate the sets close to the best, and the smaller sets of the one that is best under a random force."""
     # The noise of the search has no random force, whose path an effect with a free period can follow: then the smaller
     # set is far behind in the search.
-    close = [v for v in ordered if ordered[0].evidence - v.evidence < tuning.FAR_BEHIND][:MOST_WEIGHED]
+    close = [v for v in ordered if ordered[0].evidence - v.evidence < constants.FAR_BEHIND][:MOST_WEIGHED]
     close += [v for v in ordered if not v.key and v not in close]
     weights: dict[Key, Weight] = {}
     plausible, tried = weights, set[Key]()
@@ -208,7 +208,7 @@ def _weights(found: Found, ordered: Sequence[Scored]) -> dict[Key, Weight]:
         weights |= {v.key: weight for v in close if (weight := weight_of(found, v.fit)) is not None}
         # A larger random force is not noise: it replaces a missing effect, and predicts the next sample better than any
         # law.
-        plausible = {k: w for k, w in weights.items() if w.random_share < tuning.MOST_RANDOM} or weights
+        plausible = {k: w for k, w in weights.items() if w.random_share < constants.MOST_RANDOM} or weights
         rated = [(plausible[v.key].log_likelihood + v.prior, v) for v in ordered if v.key in plausible]
         best = max(rated, key=lambda r: r[0])[1] if rated else None
         close = [v for v in _one_apart(best, ordered)[0] if v.key not in tried] if best else []
@@ -222,7 +222,7 @@ def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float
         distance = {other.key: refit_distance(problem, best.fit, other.fit) for other in others}
         for other in others:
             d = distance[other.key]
-            if d < tuning.CANNOT_TELL:
+            if d < constants.CANNOT_TELL:
                 change = other.prior + _within(problem, other.fit) - best.prior - _within(problem, best.fit)
                 evidence[other.key] = max(evidence[other.key], evidence[best.key] - 0.5 * d**2 + change)
         return distance
@@ -230,7 +230,7 @@ def _lift(problem: Problem, ordered: Sequence[Scored], evidence: dict[Key, float
     # A set with one effect less that becomes more probable replaces the best one.
     best = ordered[0]
     while True:
-        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= tuning.FAR_BEHIND]
+        near = [v for v in ordered if v is not best and best.evidence - v.evidence <= constants.FAR_BEHIND]
         less, exchanged = _one_apart(best, near)
         distance = {best.key: 0.0} | raised(best, less)
         ahead = max([best, *less], key=lambda v: evidence[v.key])
@@ -250,7 +250,7 @@ def _without_undecided(problem: Problem, weighed: Sequence[Weighted], temperatur
         if gain < NO_EVIDENCE * temperature:
             return True
         relevant = entry.probability > IRRELEVANT and less.probability > entry.probability
-        return relevant and refit_distance(problem, entry.fit, less.fit) < tuning.CANNOT_TELL
+        return relevant and refit_distance(problem, entry.fit, less.fit) < constants.CANNOT_TELL
 
     kept: dict[Key, Weighted] = {}
     for entry in sorted(weighed, key=lambda w: len(w.key)):
@@ -399,14 +399,14 @@ class Kinds:
         for kind, place in self.above(candidate):
             if KINDS[kind].wider is None and KIND_OF[candidate.effect.id] != kind:
                 return None  # "a force" is no name
-            if self.probability[kind, place] >= tuning.SURE:
+            if self.probability[kind, place] >= constants.SURE:
                 return (kind, place) if (kind, place) == self.above(candidate)[0] or self._alone(kind, place) else None
         return None
 
     def _alone(self, kind: str, place: str) -> bool:
         """Return whether no class within this one is sure there."""
         return not any(
-            p >= tuning.SURE and k != kind and at == place and kind in (w.id for w in upwards(k))
+            p >= constants.SURE and k != kind and at == place and kind in (w.id for w in upwards(k))
             for (k, at), p in self.probability.items()
         )
 
@@ -414,7 +414,7 @@ class Kinds:
     def open(self) -> bool:
         """Whether a set has an effect whose class is neither sure nor excluded."""
         return any(
-            self.probability[self.above(c)[0]] > 1.0 - tuning.SURE and self.sure_kind(c) is None
+            self.probability[self.above(c)[0]] > 1.0 - constants.SURE and self.sure_kind(c) is None
             for _, _, c in self.effects
         )
 
@@ -449,7 +449,7 @@ def _mixture(name: Quantity, members: Sequence[tuple[float, Estimates]]) -> Effe
         return None
     mean = sum(weight / total * value for weight, value, *_ in own)
     variance = sum(weight / total * (std**2 + (value - mean) ** 2) for weight, value, std, _ in own)
-    half = tuning.INTERVAL * math.sqrt(variance)
+    half = constants.INTERVAL * math.sqrt(variance)
     return EffectValue(name, mean, own[0][3], mean - half, mean + half)
 
 

@@ -13,10 +13,10 @@ from robustlab.dynamics.extended.effect_blocks import Amplitude, Dry, EffectBloc
 from robustlab.dynamics.extended.extended_plant import with_effects
 from robustlab.dynamics.linear_plant import LinearPlant
 from robustlab.dynamics.parameters import Parameter
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import AnyPlant, parameter_groups
 from robustlab.errors import InputError, error_context
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox.effect_fit import Candidate, Fit, Problem
 
 ONE_FACTOR = "scaled by one factor"
@@ -52,7 +52,7 @@ def _spread_of(kinds: Sequence[Any], candidate: Candidate) -> float:
         own = candidate.key in kind.members and not kind.settled
         if own and kind.values and kind.values[0].unit == candidate.parameters[0].unit:
             size = kind.values[0]
-            return 0.5 * (size.upper - size.lower) / (tuning.INTERVAL * abs(size.value)) if size.value else 0.0
+            return 0.5 * (size.upper - size.lower) / (constants.INTERVAL * abs(size.value)) if size.value else 0.0
     return 0.0
 
 

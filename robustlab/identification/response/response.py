@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robustlab.arrays import Array, Indices
-from robustlab.clocks import is_uniform
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.dynamics.ports.port_model import Course, exponentials, motion_model
 from robustlab.errors import InputError, NoTrustworthyNumber, UnitMismatch, did_you_mean
 from robustlab.record import Record
 from robustlab.result import Evidence
 from robustlab.statespace import Signal, StateSpaceModel, as_model
+from robustlab.time_base import is_uniform
 from robustlab.units import factor_between, same_unit
 
 # A pole slower than this share of the fastest one counts as an integrator.

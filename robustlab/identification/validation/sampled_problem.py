@@ -28,7 +28,7 @@ from robustlab.record import Record
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.worst_case_analysis.members import recursion
+from robustlab.worst_case_analysis.batched_members import recursion
 
 ROUNDING = 1e-12  # responses below this share of the largest one are rounding
 OBSERVABLE = 1e-9  # state directions count as observable above this share of the most observable one

@@ -26,8 +26,8 @@ from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response, modes_apart, narrow_frequencies, solved_response
 from robustlab.linear_analysis.matrices import balancing_factors
 from robustlab.linear_analysis.structural import strong_components, with_hidden
+from robustlab.mu_analysis.matrix.block_structure import depths, entries, hermitian
 from robustlab.mu_analysis.matrix.bounds import divided, skew_upper
-from robustlab.mu_analysis.matrix.structure import depths, entries, hermitian
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.norms.claims import Numbers, block_rows, loop_numbers
 from robustlab.statespace import StateSpaceModel, lower_lft

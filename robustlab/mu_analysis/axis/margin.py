@@ -17,7 +17,7 @@ from robustlab.norms import PeakGain
 from robustlab.result import Bracket, Table, Tabular
 from robustlab.statespace import Signal, StateSpaceModel
 from robustlab.uncertainty.lft import UncertainModel
-from robustlab.uncertainty.realised_delta import realise_delta
+from robustlab.uncertainty.perturbation_systems import realise_delta
 
 PERFORMANCE = "performance"  # the block that robust_performance adds; no range of the user's
 

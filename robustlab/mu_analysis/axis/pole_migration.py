@@ -19,9 +19,9 @@ from robustlab.arrays import Array, ComplexArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.frequency import frequency_response
+from robustlab.mu_analysis.matrix.block_structure import DeltaLayout, delta_layout, delta_norm, project
 from robustlab.mu_analysis.matrix.branch_and_bound import block_entries, centre_matrix, gauge, lowest
 from robustlab.mu_analysis.matrix.lower import EPS, FRACTIONS, SINGULAR, lower_bounds, singularity, smallest, unit_rows
-from robustlab.mu_analysis.matrix.structure import DeltaLayout, delta_layout, delta_norm, project
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices
 

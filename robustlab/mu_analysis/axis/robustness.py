@@ -48,6 +48,7 @@ from robustlab.mu_analysis.axis.pole_migration import (
     smaller_destabilising,
     smallest_destabilising,
 )
+from robustlab.mu_analysis.matrix.block_structure import delta_layout, delta_norm
 from robustlab.mu_analysis.matrix.bounds import Gain, ascend, gain_at, gain_curves, largest_gain
 from robustlab.mu_analysis.matrix.branch_and_bound import (
     Box,
@@ -62,7 +63,6 @@ from robustlab.mu_analysis.matrix.branch_and_bound import (
     tighten,
 )
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bounds, singularity
-from robustlab.mu_analysis.matrix.structure import delta_layout, delta_norm
 from robustlab.mu_analysis.matrix.upper import (
     WORK,
     UpperBound,

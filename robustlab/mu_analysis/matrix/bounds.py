@@ -17,9 +17,9 @@ from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget, one_thread, search_budget
 from robustlab.display import Displayable, Facts, bracket, listed
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context
+from robustlab.mu_analysis.matrix.block_structure import entries, hermitian, relative, supply
 from robustlab.mu_analysis.matrix.branch_and_bound import Box, MatrixProblem, centre_matrix, root_box, tighten
 from robustlab.mu_analysis.matrix.lower import lower_bound, lower_bounds
-from robustlab.mu_analysis.matrix.structure import entries, hermitian, relative, supply
 from robustlab.mu_analysis.matrix.upper import WORK, UpperBound, compile_kernels, proves, upper_bounds
 from robustlab.result import Status, Table, Tabular
 from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, structure_size

@@ -18,8 +18,8 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Mask
 from robustlab.budget import Budget
 from robustlab.display import Displayable
+from robustlab.mu_analysis.matrix.block_structure import delta_norm, relative, supply
 from robustlab.mu_analysis.matrix.lower import SINGULAR, lower_bound, singularity
-from robustlab.mu_analysis.matrix.structure import delta_norm, relative, supply
 from robustlab.mu_analysis.matrix.upper import UpperBound, points_below, points_work
 from robustlab.statespace import StateSpaceModel
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size

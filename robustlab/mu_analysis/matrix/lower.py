@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
-from robustlab.mu_analysis.matrix.structure import (
+from robustlab.mu_analysis.matrix.block_structure import (
     Component,
     DeltaLayout,
     components,

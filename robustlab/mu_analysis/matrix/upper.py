@@ -15,7 +15,7 @@ import numpy as np
 from robustlab.arrays import Array, ComplexArray, Indices, Mask
 from robustlab.budget import MILLION
 from robustlab.display import Displayable
-from robustlab.mu_analysis.matrix.structure import (
+from robustlab.mu_analysis.matrix.block_structure import (
     Component,
     ScalingSpace,
     balancing_exponents,

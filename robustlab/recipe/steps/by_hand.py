@@ -14,8 +14,9 @@ import robustlab as rl
 from robustlab.display import number
 from robustlab.errors import NoTrustworthyNumber, unknown_name
 from robustlab.operations.declaration import InLoop
-from robustlab.operations.kinds import Thing
-from robustlab.recipe.steps.contract import (
+from robustlab.operations.parameter_types import Thing
+from robustlab.recipe.steps.generated import OperationStep
+from robustlab.recipe.steps.step import (
     Ahead,
     Fact,
     Inferred,
@@ -28,7 +29,6 @@ from robustlab.recipe.steps.contract import (
     facts_of,
     step,
 )
-from robustlab.recipe.steps.generated import OperationStep
 
 quantity = partial(number, digits=5)
 

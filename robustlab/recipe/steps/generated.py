@@ -9,8 +9,8 @@ from pydantic import Field, create_model
 
 from robustlab.display import Displayable
 from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
-from robustlab.operations.kinds import RecordFile, Thing
-from robustlab.recipe.steps.contract import (
+from robustlab.operations.parameter_types import RecordFile, Thing
+from robustlab.recipe.steps.step import (
     Ahead,
     Fact,
     Inferred,

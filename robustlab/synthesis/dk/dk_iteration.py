@@ -20,9 +20,9 @@ from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import default_grid
 from robustlab.mu_analysis.axis.intervals import AxisCover, Piece, continuous, cover_axis, loop_axis_claims
 from robustlab.mu_analysis.axis.margin import PERFORMANCE
+from robustlab.mu_analysis.matrix.block_structure import project
 from robustlab.mu_analysis.matrix.branch_and_bound import centre_matrix
 from robustlab.mu_analysis.matrix.lower import lower_bounds
-from robustlab.mu_analysis.matrix.structure import project
 from robustlab.mu_analysis.matrix.upper import compile_kernels
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete, hinf_norm
 from robustlab.norms.claims import ABOVE
@@ -42,8 +42,8 @@ from robustlab.synthesis.dk.scalings import (
 from robustlab.synthesis.hinf.hinf_synthesis import channel_gains, synthesize, trial_loop
 from robustlab.synthesis.problem.certify import SHARES, certified, named_controller, with_direct_term
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels
-from robustlab.synthesis.problem.limits import GammaBound, pointwise_bound
-from robustlab.synthesis.problem.partition import (
+from robustlab.synthesis.problem.gamma_lower_bound import GammaBound, pointwise_bound
+from robustlab.synthesis.problem.generalized_plant import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,
@@ -52,7 +52,7 @@ from robustlab.synthesis.problem.partition import (
     paths_first,
     require_performance,
 )
-from robustlab.synthesis.structures.laws import unpacked
+from robustlab.synthesis.structures.controller_structures import unpacked
 from robustlab.uncertainty.blocks import Block, FullBlock, as_blocks, block_slices, delta_values, structure_size
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Outcome

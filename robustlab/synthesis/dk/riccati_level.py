@@ -20,7 +20,7 @@ from robustlab.linear_analysis.matrices import balanced_eigenvalues, care, judge
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.dk.scalings import FIRST_STEP, DynamicScalings
 from robustlab.synthesis.hinf.two_riccati import RiccatiPair, TwoRiccatiProblem, quadratic, smallest_level
-from robustlab.synthesis.problem.partition import PlantMatrices, Scaling, dual
+from robustlab.synthesis.problem.generalized_plant import PlantMatrices, Scaling, dual
 
 RESIDUAL = 1e-7  # of a solution after Newton's steps; 1e-3 accepts levels without a proof
 STEP = 1e-5  # of logarithmic parameters in derivatives of the frozen forms, which are smooth

@@ -22,7 +22,7 @@ from robustlab.mu_analysis.matrix.upper import UpperBound, points_work, upper_bo
 from robustlab.norms import HinfNorm, hinf_norm
 from robustlab.statespace import StateSpaceModel
 from robustlab.synthesis.hinf.two_riccati import smallest_level
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.generalized_plant import PlantMatrices, Realisation
 from robustlab.uncertainty.blocks import Block, block_slices
 
 FIRST_STEP = 1e-4  # of the logarithm of a level away from its guess

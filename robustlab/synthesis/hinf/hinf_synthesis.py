@@ -29,8 +29,8 @@ from robustlab.synthesis.problem.certify import (
     with_direct_term,
 )
 from robustlab.synthesis.problem.design import HinfSynthesis, final_status, limiting_channels
-from robustlab.synthesis.problem.limits import broken_assumptions, pointwise_bound, require_stabilisable
-from robustlab.synthesis.problem.partition import (
+from robustlab.synthesis.problem.gamma_lower_bound import broken_assumptions, pointwise_bound, require_stabilisable
+from robustlab.synthesis.problem.generalized_plant import (
     GeneralizedPlant,
     PlantMatrices,
     Realisation,

@@ -22,9 +22,9 @@ from robustlab.statespace import Signal, StateSpaceModel, as_model, series
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.certify import certified, named_controller, surely_stable
 from robustlab.synthesis.problem.design import HinfSynthesis, Synthesis, design_budget, limiting_channels
-from robustlab.synthesis.problem.partition import GeneralizedPlant, require_performance, side_by_side
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, require_performance, side_by_side
 from robustlab.synthesis.specifications.weight_design import stable_weight, weight_on_channels
-from robustlab.uncertainty.distances import (
+from robustlab.uncertainty.gap_metric import (
     CoprimeMargin,
     CoprimeRiccati,
     continuous_models,

@@ -15,7 +15,7 @@ from robustlab.arrays import AnyArray
 from robustlab.budget import Budget, dense
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import hamiltonian_riccati
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, dual
+from robustlab.synthesis.problem.generalized_plant import PlantMatrices, Realisation, dual
 
 # Rounding of an exact X = 0, scaled, which must not count as indefinite. Larger: false passes.
 SEMIDEFINITE = 1e-6

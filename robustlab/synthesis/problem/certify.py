@@ -27,7 +27,7 @@ from robustlab.norms.hinfinity import eigenvalue_blur
 from robustlab.result import Status
 from robustlab.signals import Taken
 from robustlab.statespace import StateSpaceModel, series
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, side_by_side
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, Realisation, side_by_side
 from robustlab.uncertainty.blocks import Block, FullBlock, structure_size
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.verification.balls import midpoints, precision

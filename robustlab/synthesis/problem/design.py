@@ -18,8 +18,8 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Taken, law
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft
-from robustlab.synthesis.problem.limits import GammaBound
-from robustlab.synthesis.problem.partition import GeneralizedPlant
+from robustlab.synthesis.problem.gamma_lower_bound import GammaBound
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant
 
 WORK = 60 * MILLION  # the usual work of a design, in units of about a microsecond
 

@@ -37,7 +37,7 @@ from robustlab.linear_analysis.matrices import balancing_factors, care, small_re
 from robustlab.linear_analysis.structural import HiddenMode, LeastOrder, least_order
 from robustlab.norms import bilinear_to_continuous, bilinear_to_discrete
 from robustlab.statespace import StateSpaceModel, parallel, series
-from robustlab.uncertainty.distances import continuous_models, coprime_factors
+from robustlab.uncertainty.gap_metric import continuous_models, coprime_factors
 from robustlab.verification.balls import exact, midpoints, precision
 
 Projection = Literal["truncation", "residualisation"]

@@ -23,7 +23,7 @@ from robustlab.statespace import StateSpaceModel, as_model, lower_lft, parallel
 from robustlab.synthesis.hinf.loop_shaping import with_default_performance
 from robustlab.synthesis.problem.certify import Evidence, MeasureName, Performance, PerformanceMeasure, make_measure
 from robustlab.synthesis.problem.design import Synthesis, design_budget, final_status, limiting_channels, relative_loss
-from robustlab.synthesis.problem.partition import GeneralizedPlant, as_generalized_plant
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, as_generalized_plant
 from robustlab.synthesis.reduction.balancing import Balancing, Projection, block_factor, gramian_factors, split_stable
 from robustlab.uncertainty.blocks import Block
 

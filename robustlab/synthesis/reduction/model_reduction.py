@@ -24,7 +24,7 @@ from robustlab.linear_analysis.structural import least_order
 from robustlab.norms import HinfNorm, hinf_norm, linf_norm
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, as_model, parallel, series
-from robustlab.synthesis.problem.partition import side_by_side
+from robustlab.synthesis.problem.generalized_plant import side_by_side
 from robustlab.synthesis.reduction.balancing import Way, Weights, lost_at_least_order, way_of
 from robustlab.uncertainty.lft import UncertainModel
 from robustlab.uncertainty.reduction import Reduction, reduction
@@ -356,7 +356,7 @@ def minimal(model: Any, *, tolerance: float | None = None) -> ReducedModel:
 
     Examples
     --------
-    >>> from robustlab.realisations import ss
+    >>> from robustlab.conversion import ss
     >>> G = ss([[0, 0, 0], [0, -1, 0], [0, 1, 0]], [[1], [1], [0]], [[1, 0, 0], [0, 0, 1]], [[0], [0]])
     >>> found = minimal(G)  # two integrators, one behind a lag; the input moves their difference by the lag alone
     >>> found.order, found.error.upper, found.removed

@@ -22,7 +22,7 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.structures.laws import unpacked
+from robustlab.synthesis.structures.controller_structures import unpacked
 from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.

@@ -28,9 +28,9 @@ from robustlab.signals import Taken
 from robustlab.statespace import Signal
 from robustlab.synthesis.hinf.two_riccati import TwoRiccatiProblem
 from robustlab.synthesis.problem.design import Design
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation, Scaling, dual, paths_first
+from robustlab.synthesis.problem.generalized_plant import PlantMatrices, Realisation, Scaling, dual, paths_first
 from robustlab.synthesis.scheduling.parameter_varying import EXACT, KNOWN, PROVED, SAMPLED, LPVController, LPVModel
-from robustlab.synthesis.structures.laws import unpacked
+from robustlab.synthesis.structures.controller_structures import unpacked
 from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 

@@ -27,7 +27,7 @@ from robustlab.feedback import SIGNS, Sign, closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.signals import Signal, Taken
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
-from robustlab.synthesis.problem.partition import GeneralizedPlant, side_by_side, signal_positions
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, side_by_side, signal_positions
 from robustlab.synthesis.specifications.weight_design import stable_weight, weight_on_channels
 from robustlab.uncertainty.lft import UncertainModel
 

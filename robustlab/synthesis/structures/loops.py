@@ -15,7 +15,7 @@ from robustlab.arrays import AnyArray
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import lapack
 from robustlab.linear_analysis.slicot import lyapunov_solution, peak_gain
-from robustlab.synthesis.problem.partition import PlantMatrices, Realisation
+from robustlab.synthesis.problem.generalized_plant import PlantMatrices, Realisation
 
 PEAK_TOLERANCE = 1e-11  # of AB13DD: line searches compare values of close points
 PEAK_GRID = 28  # frequencies of the grid, without those of the poles

@@ -12,8 +12,8 @@ import robustlab as rl
 from robustlab.campaign import (
     TILE,
     CampaignSettings,
-    WorkerOptions,
     Evaluator,
+    WorkerOptions,
     read_campaign,
     resume_campaign,
     run_campaign,
@@ -35,7 +35,7 @@ def settings_of(n, **more):
 
 
 def ran(tmp_path, model, settings, workers=1, **more):
-    return run_campaign(model, settings, tmp_path / f"{workers}.sqlite", crew=WorkerOptions(workers), **more)
+    return run_campaign(model, settings, tmp_path / f"{workers}.sqlite", workers=WorkerOptions(workers), **more)
 
 
 def test_samples_equal_those_of_rl_sample(motor):
@@ -150,7 +150,7 @@ def finished(tmp_path_factory, motor):
     """A campaign of 2000 samples in a real worker process."""
     path = tmp_path_factory.mktemp("finished") / "motor.sqlite"
     seen = []
-    result = run_campaign(motor, settings_of(2000), path, crew=WorkerOptions(1), limit=30.0, progress=seen.append)
+    result = run_campaign(motor, settings_of(2000), path, workers=WorkerOptions(1), limit=30.0, progress=seen.append)
     assert sum(seen) == 2000
     return path, result
 

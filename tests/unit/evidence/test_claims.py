@@ -100,7 +100,9 @@ RESULTS = {
     "h2": lambda: rl.h2(regulated(), 1, 1),
     "reduced model": lambda: rl.reduce_model(rows(2, 6), 3),
     "gain with a law": lambda: rl.peak_gain(EVEN, block_types={"k": rl.Varying(0.1)}, order=1),
-    "margin of parameters that vary": lambda: rl.robust_stability(EVEN, block_types={"k": rl.Varying(), "m": rl.Varying()}),
+    "margin of parameters that vary": lambda: rl.robust_stability(
+        EVEN, block_types={"k": rl.Varying(), "m": rl.Varying()}
+    ),
     "gain of a scheduled model": lambda: rl.peak_gain(SCHEDULED),
     "elementwise": lambda: elementwise(
         rl.StateSpaceModel([[-1.0, 0.2], [0.1, -0.5]], [[1.0], [0.5]], [[1, 0]], [[0]]),

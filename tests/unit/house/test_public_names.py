@@ -20,7 +20,7 @@ from stub import STUB, stub_text
 import robustlab as rl
 from robustlab import errors
 from robustlab.errors import InputError, RobustlabError
-from robustlab.lazily import NAMES
+from robustlab.public_names import NAMES
 
 
 def test_importing_the_package_loads_nothing_heavy():

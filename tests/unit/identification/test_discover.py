@@ -191,7 +191,7 @@ def test_a_set_that_fails_on_held_out_data_is_not_the_answer():
 
 @pytest.mark.parametrize("budget", ["MOST_EXPANSIONS", "MOST_WORK"])
 def test_a_search_beyond_its_budget_is_inconclusive(monkeypatch, budget):
-    monkeypatch.setattr(f"robustlab.identification.missing_effects.set_search.{budget}", 1)
+    monkeypatch.setattr(f"robustlab.identification.missing_effects.effect_search.{budget}", 1)
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=all_but("coulomb-friction", "constant-load"))
     assert "search" in [f.kind for f in found.findings]
     assert found.verdict == "ambiguous"
@@ -226,7 +226,7 @@ def test_a_failed_stage_after_the_search_keeps_the_effects(monkeypatch):
     def fails(*_):
         raise NoTrustworthyNumber("the model", "u[552,1] is infinite", "a number")
 
-    monkeypatch.setattr("robustlab.identification.missing_effects.answer.updated_plant", fails)
+    monkeypatch.setattr("robustlab.identification.missing_effects.build_result.updated_plant", fails)
     found = rl.discover(AXIS, machine(friction=20.0, seed=3), exclude=all_but("coulomb-friction"))
     assert found.names == ("coulomb-friction",)
     assert any("not computed" in f.found for f in found.findings if f.kind == "stage")

@@ -10,8 +10,8 @@ from robustlab.errors import NoTrustworthyNumber
 from robustlab.result import Status
 from robustlab.statespace import StateSpaceModel, lower_lft
 from robustlab.synthesis import GeneralizedPlant, ReducedController, sampled_norm
-from robustlab.synthesis.problem import partition
-from robustlab.uncertainty import distances
+from robustlab.synthesis.problem import generalized_plant
+from robustlab.uncertainty import gap_metric
 
 PLANT = rl.StateSpaceModel(
     [[-1, 1, 0], [0, -3, 2], [0, 0, -20]], [[0, 0, 0], [1, 0, 0], [0, 0, 10]], [[1, 0, 0], [0, 0, 0], [1, 0, 0]],
@@ -173,7 +173,7 @@ def wrong_lft(P: StateSpaceModel, K: StateSpaceModel) -> StateSpaceModel:
 
 @pytest.fixture
 def wrong_loops(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (partition, distances, sampled_norm):
+    for module in (generalized_plant, gap_metric, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", wrong_lft)
 
 
@@ -202,7 +202,7 @@ def test_designs_detect_a_wrong_rebuilt_loop(name: str, wrong_loops: None) -> No
     # gamma is the larger norm, of the loop of P and K
     truth = lower_lft(design.plant.model, design.K)
     if name == "ncf":
-        truth = lower_lft(distances.four_block(design.shaped_plant), design.K_shaped)
+        truth = lower_lft(gap_metric.four_block(design.shaped_plant), design.K_shaped)
     norm = rl.h2_norm(truth).value if "h2" in name else rl.peak_gain(truth).lower
     assert design.gamma == pytest.approx(norm, rel=1e-3)
 
@@ -211,7 +211,7 @@ def test_reduction_and_discretisation_detect_it_too(monkeypatch: pytest.MonkeyPa
     design = rl.hinf(WATCHED, 1, 1)
     assert rl.reduce_controller(design, loss=0.5).status is Status.CERTIFIED
     assert rl.discretise(design, 0.01, method="tustin").status.trustworthy
-    for module in (partition, sampled_norm):
+    for module in (generalized_plant, sampled_norm):
         monkeypatch.setattr(module, "lower_lft", wrong_lft)
     with pytest.raises(NoTrustworthyNumber, match="closed exactly"):
         rl.reduce_controller(design, loss=0.5)

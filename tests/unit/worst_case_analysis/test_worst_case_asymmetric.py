@@ -68,7 +68,9 @@ def test_all_methods_give_the_same_member(tmp_path):
     wanted = poles(samples)
     assert wanted == pytest.approx([POLE.parameter.value(delta["pole"]) for delta in samples.deltas], rel=1e-14)
     np.testing.assert_allclose(violation_probability(model, "hinf", 2.0, n=40, seed=2).values, 1 / wanted, rtol=1e-9)
-    table = run_campaign(model, CampaignSettings("hinf", 40, seed=2), tmp_path / "s.sqlite", crew=WorkerOptions(1)).table()
+    table = run_campaign(
+        model, CampaignSettings("hinf", 40, seed=2), tmp_path / "s.sqlite", workers=WorkerOptions(1)
+    ).table()
     np.testing.assert_allclose(table.columns["hinf"], 1 / wanted, rtol=1e-9)
     np.testing.assert_array_equal(table.columns["pole"], [delta["pole"] for delta in samples.deltas])
 

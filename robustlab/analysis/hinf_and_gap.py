@@ -14,10 +14,10 @@ from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.synthesis.hinf.hinf_synthesis import synthesize
 from robustlab.synthesis.problem.design import HinfSynthesis, design_budget
-from robustlab.synthesis.problem.partition import as_generalized_plant, require_performance
+from robustlab.synthesis.problem.generalized_plant import as_generalized_plant, require_performance
 from robustlab.synthesis.scheduling.parameter_varying import LPVModel
 from robustlab.synthesis.scheduling.scheduled_synthesis import LPVSynthesis, scheduled_hinf
-from robustlab.uncertainty.distances import NOTHING, CoprimeFactors, NuGap, continuous_models, coprime_factors, nu_gap
+from robustlab.uncertainty.gap_metric import NOTHING, CoprimeFactors, NuGap, continuous_models, coprime_factors, nu_gap
 
 CLOSE = 1e-3  # relative distance of the bounds of a gap that counts as converged
 

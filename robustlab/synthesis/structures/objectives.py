@@ -17,8 +17,8 @@ from robustlab.budget import Budget, dense
 from robustlab.checks import number
 from robustlab.norms import linf_norm
 from robustlab.statespace import StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant, Realisation, Scaling, common_scaling
-from robustlab.synthesis.structures.laws import Law, unpacked
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, Realisation, Scaling, common_scaling
+from robustlab.synthesis.structures.controller_structures import Law, unpacked
 from robustlab.synthesis.structures.loops import LoopFamily, Valued, extreme_pole
 
 INSIDE = 1e-3  # least distance of a start from its bounds, as a share of their range

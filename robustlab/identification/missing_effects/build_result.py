@@ -16,9 +16,9 @@ from scipy.special import gammaincinv
 
 from robustlab.arrays import Array
 from robustlab.dynamics.extended.simulator import Windows
-from robustlab.dynamics.plant_contract import NonlinearPlant
+from robustlab.dynamics.plant_base import NonlinearPlant
 from robustlab.errors import RobustlabError
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.data_checks.suitability import Finding
 from robustlab.identification.greybox import noise as noises
 from robustlab.identification.greybox.effect_fit import (
@@ -34,8 +34,8 @@ from robustlab.identification.greybox.prepared_record import PreparedRecord
 from robustlab.identification.greybox.residual_force import ResidualForce, remaining_lines, residual_force
 from robustlab.identification.missing_effects import discovery_result as result
 from robustlab.identification.missing_effects.discovery_result import Discovery, Gap, overall
+from robustlab.identification.missing_effects.effect_search import Found, without
 from robustlab.identification.missing_effects.posterior import Kinds, Posterior, Weighted, force_share, weight_of
-from robustlab.identification.missing_effects.set_search import Found, without
 from robustlab.identification.missing_effects.updated_plant import updated_plant
 from robustlab.result import Status
 
@@ -80,10 +80,10 @@ def answer(
     fit = whole
     if negligible:
         less = without_effects(problem, whole, negligible)
-        fit = noises.settled(problem, less, found.noise, 1 if remains else tuning.AR_ORDER)
+        fit = noises.settled(problem, less, found.noise, 1 if remains else constants.AR_ORDER)
     verdict = _verdict(found, kinds, fit, remains)
     named = fit.hypothesis.candidates
-    bare = noises.settled(problem, found.empty.fit, found.noise, 1 if named else tuning.AR_ORDER)
+    bare = noises.settled(problem, found.empty.fit, found.noise, 1 if named else constants.AR_ORDER)
     as_given = Fit(Hypothesis(()), np.zeros(len(held.nuisances)), (), 0.0, np.eye(0), found.noise)
     own = {n: kept_out.simulated(f) for n, f in (("nominal", as_given), ("refitted", bare), ("updated", fit))}
     windows, free_run = kept_out.gaps(0, own), kept_out.gaps(1, own)
@@ -99,10 +99,10 @@ def answer(
     if named:
         # A refit beyond its tolerances imitates the effects by its parameters: it refutes them only if its error is
         # smaller by the share `MATERIAL`.
-        imitated = bool(at_limits(problem, bare)) and after <= (1.0 + tuning.MATERIAL) * refitted
+        imitated = bool(at_limits(problem, bare)) and after <= (1.0 + constants.MATERIAL) * refitted
         if worse_than_given or (worse and not imitated):
             verdict, complete = "unknown", False
-        elif verdict == "named" and after > (1.0 + tuning.AS_LARGE) * refitted and not imitated:
+        elif verdict == "named" and after > (1.0 + constants.AS_LARGE) * refitted and not imitated:
             verdict = "ambiguous"
     if refuted := bool(named) and worse_than_given:
         text = f"free run on held-out data {in_run['updated']:.3g} % of the range, worse than as given"
@@ -167,8 +167,8 @@ def _remains(problem: Problem, posterior: Posterior, fit: Fit) -> bool:
     """Return whether more than noise and a small random force remains, or a clock imitates a delay."""
     clocks = {n.label for n in problem.nuisances if n.input}
     return (
-        posterior.noise_ratio > tuning.MOST_NOISE
-        or max((u.random_share for u in posterior.left), default=np.nan) > tuning.MOST_RANDOM
+        posterior.noise_ratio > constants.MOST_NOISE
+        or max((u.random_share for u in posterior.left), default=np.nan) > constants.MOST_RANDOM
         or posterior.best.unnamed is not None
         or not posterior.generalises
         or bool(at_limits(problem, fit) & clocks)
@@ -181,7 +181,7 @@ def _negligible(problem: Problem, held: HeldOut, fit: Fit) -> frozenset[str]:
     negligible = set[str]()
     for k, key in enumerate(_keys(fit)):
         less = without_effects(problem, fit, {key})
-        needed = force_share(problem, fit, k) >= tuning.MATERIAL or bool(at_limits(problem, less) - already)
+        needed = force_share(problem, fit, k) >= constants.MATERIAL or bool(at_limits(problem, less) - already)
         if not needed and not held.is_relevant(whole, held.simulated(less)):
             negligible.add(key)
     return frozenset(negligible)
@@ -228,7 +228,7 @@ def without_effects(problem: Problem, fit: Fit, keys: Collection[str]) -> Fit:
     """Refit the set without these effects, from the parameters of the whole set."""
     while (k := next((k for k, key in enumerate(_keys(fit)) if key in keys), None)) is not None:
         hypothesis, z = without(problem, fit, k)
-        fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.FULL))
+        fit = problem.fit(hypothesis, fit.noise, z, fit.starts, FitPlan(constants.FULL))
     return fit
 
 
@@ -324,7 +324,7 @@ class HeldOut:
         for measured, ours, theirs in zip(self.measured, whole.outputs, less.outputs, strict=True):
             own, other = _rms(measured, measured, ours), _rms(measured, measured, theirs)
             with np.errstate(all="ignore"):
-                worse = ~(other - own < tuning.MATERIAL * own)  # true for a diverged model
+                worse = ~(other - own < constants.MATERIAL * own)  # true for a diverged model
                 apart = _rms(measured, ours, theirs)
                 if np.any(worse & (own < np.inf) & ~(apart < 0.5 * resolution) & ~(other <= own)):
                     return True
@@ -363,7 +363,7 @@ def _values(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[result.Ef
     own = next(own for c, own in problem.slices(fit.hypothesis) if c.key == candidate.key)
     values = []
     for p, centre, spread in zip(candidate.parameters, fit.z[own], fit.std[own], strict=True):
-        ends = sorted(p.prior.value(float(centre + side * tuning.INTERVAL * spread)) for side in (-1.0, 1.0))
+        ends = sorted(p.prior.value(float(centre + side * constants.INTERVAL * spread)) for side in (-1.0, 1.0))
         values.append(result.EffectValue(p.name, p.prior.value(float(centre)), p.unit, *ends))
     return tuple(values)
 
@@ -394,10 +394,10 @@ def _opened_above(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[res
     z[at] = prior.standardised(WIDER * values[own].value)
     mean, precision = np.zeros(len(z)), np.eye(len(z))
     mean[at], precision[at, at] = z[at], HELD
-    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(tuning.LAST), prior=Prior(mean, precision))
-    if there.cost + there.z[at] ** 2 - fit.cost >= tuning.CANNOT_TELL**2:
+    there = problem.fit(fit.hypothesis, fit.noise, z, fit.starts, FitPlan(constants.LAST), prior=Prior(mean, precision))
+    if there.cost + there.z[at] ** 2 - fit.cost >= constants.CANNOT_TELL**2:
         return values
-    upper = max(values[own].upper, prior.value(tuning.INTERVAL))
+    upper = max(values[own].upper, prior.value(constants.INTERVAL))
     return tuple(replace(v, upper=upper) if v.name == name else v for v in values)
 
 
@@ -422,7 +422,7 @@ def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]
     for nuisance, z, std in zip(problem.nuisances, fit.z, fit.std, strict=False):
         for name in nuisance.names:
             centre = z if name in factors else 0.0  # a parameter with a named shift has it there
-            factor = [nuisance.factor(float(centre + side * tuning.INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
+            factor = [nuisance.factor(float(centre + side * constants.INTERVAL * std)) for side in (-1.0, 0.0, 1.0)]
             moved[name] = [problem.plant.parameters[name].reference * f for f in factor]
     for candidate in fit.hypothesis.candidates:
         if candidate.site.kind == "parameter" and candidate.effect.scale:  # value of a parameter named as misjudged

@@ -13,10 +13,10 @@ import numpy as np
 
 from robustlab.arrays import Array, ComplexArray
 from robustlab.checks import number
+from robustlab.conversion import cascade
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.norms import bilinear_to_discrete
-from robustlab.realisations import cascade
 from robustlab.statespace import StateSpaceModel, append, series
 from robustlab.uncertainty.blocks import Block, delta_matrix
 

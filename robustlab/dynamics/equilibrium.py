@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from robustlab.arrays import Array, Indices
-from robustlab.dynamics.descriptor_family import TrimmedDescriptor, Values
+from robustlab.dynamics.parametric_descriptor import TrimmedDescriptor, Values
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, unknown_name
 from robustlab.statespace import real_array
 
@@ -133,7 +133,7 @@ def held_descriptor(
 
 
 def descriptor(local: Any, ports: Sequence[int]) -> Array:
-    """Return N of `robustlab.dynamics.descriptor_family` from the local model at one point; ports: states."""
+    """Return N of `robustlab.dynamics.parametric_descriptor` from the local model at one point; ports: states."""
     a, b, c, d = local.A[0], local.B[0], local.C[0], local.D[0]
     e, inner = np.eye(len(a)), local.push[0][list(ports)]
     if len(ports) and np.linalg.matrix_rank(inner) == len(ports):

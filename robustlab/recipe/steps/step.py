@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import robustlab as rl
 from robustlab.display import Each
 from robustlab.errors import InputError, did_you_mean
-from robustlab.operations.kinds import Thing
+from robustlab.operations.parameter_types import Thing
 from robustlab.result import Evidence
 
 if TYPE_CHECKING:

@@ -457,7 +457,7 @@ class Thing(Kind):
 
     def as_wanted(self, found: Any, where: str) -> Any:
         """Return the object converted for its function; raise where it has the wrong type."""
-        from robustlab.dynamics.plant_contract import Plant
+        from robustlab.dynamics.plant_base import Plant
         from robustlab.statespace import as_model
 
         if isinstance(found, rl.Controller) and "controller" not in self.gives:
@@ -489,7 +489,7 @@ class Machine(Thing):
 
     def as_wanted(self, found: Any, where: str) -> Any:
         """Return the object, or the set of a plant where an uncertain model is required."""
-        from robustlab.dynamics.plant_contract import Plant
+        from robustlab.dynamics.plant_base import Plant
         from robustlab.provenance import code_of
 
         if self.gives[0] != "uncertain" or not isinstance(found, Plant):

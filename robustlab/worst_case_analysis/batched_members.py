@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array, Mask
-from robustlab.clocks import is_uniform
 from robustlab.dynamics.simulation import sampled_inputs
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.linear_analysis.matrices import refuse_overflow
 from robustlab.statespace import Signal, real_array
+from robustlab.time_base import is_uniform
 from robustlab.uncertainty.blocks import Block, block_slices, structure_size
 from robustlab.uncertainty.lft import ILL_POSED, UncertainModel
 

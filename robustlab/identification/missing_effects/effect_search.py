@@ -17,7 +17,7 @@ import numpy as np
 
 from robustlab.arrays import Array
 from robustlab.dynamics.effects.catalogue import KIND_OF
-from robustlab.identification import tuning
+from robustlab.identification import constants
 from robustlab.identification.greybox import noise as noises
 from robustlab.identification.greybox.candidates import FINEST_LINES
 from robustlab.identification.greybox.effect_fit import (
@@ -71,7 +71,7 @@ def held_inputs(problem: Problem, fit: Fit) -> tuple[Fit, Problem]:
         other = hold.copy()
         other[k] = "smooth" if hold[k] == "zoh" else "zoh"
         there = problem.under(replace(problem.clock, hold=tuple(other)))
-        again = there.fit(fit.hypothesis, fit.noise, fit.z, fit.starts, FitPlan(tuning.LAST))
+        again = there.fit(fit.hypothesis, fit.noise, fit.z, fit.starts, FitPlan(constants.LAST))
         if again.cost < fit.cost - 2.0 * PROMISING:
             hold, fit, problem = other, again, there
     return fit, problem
@@ -168,7 +168,7 @@ class Search:
         """Search until no set near the best one is left to expand, or the work limit is reached."""
         self.noise = noises.first_noise(self.problem)
         z = np.zeros(len(self.problem.nuisances))
-        self._keep(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(tuning.BASE)))
+        self._keep(self.problem.fit(Hypothesis(()), self.noise, z, plan=FitPlan(constants.BASE)))
         interrupted = settled = False
         try:
             self._expand(Key())
@@ -200,7 +200,9 @@ class Search:
         best = self.best
         while self.noise_known:
             less = [v for k, v in self.visited.items() if k < best.key and len(k) == len(best.key) - 1 and v.allowed]
-            less = [v for v in less if best.evidence - v.evidence < tuning.FAR_BEHIND and not self._distinct(best, v)]
+            less = [
+                v for v in less if best.evidence - v.evidence < constants.FAR_BEHIND and not self._distinct(best, v)
+            ]
             if not less:
                 break
             best = max(less, key=lambda v: v.evidence)
@@ -214,7 +216,7 @@ class Search:
         if pair not in self.distances:
             self.distances[pair] = refit_distance(self.problem, *pair)
         d = self.distances[pair]
-        return d >= tuning.CANNOT_TELL or 0.5 * d**2 > other.prior - one.prior
+        return d >= constants.CANNOT_TELL or 0.5 * d**2 > other.prior - one.prior
 
     def _next(self) -> Key | None:
         """Return the set to expand next: the best one, it without one or two of its effects, or one near it."""
@@ -266,13 +268,13 @@ class Search:
         _, values = self.problem.split(fit.hypothesis, fit.z)
         for k, (there, own) in enumerate(zip(fit.hypothesis.candidates, values, strict=True)):
             rest, z = without(self.problem, fit, k)
-            less = self._fit(rest, z, fit, FitPlan(tuning.LAST))
+            less = self._fit(rest, z, fit, FitPlan(constants.LAST))
             self._swap(fit, less, there)
             for plain in self.pool:
                 if plain.effect.id == there.effect.refines and plain.site == there.site:
                     start = {**plain.starts[0], **there.effect.unrefined(own)}
                     start = {name: start[name] for name in plain.starts[0]}
-                    self._fit(*extended(self.problem, rest, z, plain, start), fit, FitPlan(tuning.FULL))
+                    self._fit(*extended(self.problem, rest, z, plain, start), fit, FitPlan(constants.FULL))
 
     def _swap(self, fit: Fit, less: Fit, there: Candidate) -> None:
         """Fit the other effects of an effect's class in its place; ``less``: the set without it."""
@@ -281,21 +283,21 @@ class Search:
         pool = [c for c in self.pool if KIND_OF.get(c.effect.id) == kind and c.site == there.site and c != there]
         pool = [c for c in pool if may_be_added(c, less.hypothesis) and key | {c.key} not in self.visited]
         for hypothesis, z in promising(self.problem, less, pool, 0.0):
-            self._fit(hypothesis, z, fit, FitPlan(tuning.FULL))
+            self._fit(hypothesis, z, fit, FitPlan(constants.FULL))
 
     def _expand(self, key: Key) -> None:
         """Fit the most promising effects on top of a set."""
         base, best = self.visited[key].fit, self.best.fit
         text = f"what could be added to {' + '.join(sorted(key)) or 'the nominal model'}"
         # A set with a larger V is neither promising nor near the best set.
-        ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * tuning.FAR_BEHIND)
+        ceiling = min(base.cost - 2.0 * PROMISING, best.cost + 2.0 * constants.FAR_BEHIND)
         pool = [c for c in self.pool if may_be_added(c, base.hypothesis)]
         starts = promising(
             self.problem, base, pool, base.cost - ceiling, lambda done, count: self.progress(done, count + KEPT, text)
         )
         for done, (hypothesis, z) in enumerate(starts, 1):
             most = np.inf if hypothesis.candidates[-1].effect.gain_like else ceiling
-            self._fit(hypothesis, z, base, FitPlan(tuning.FULL if self.noise_known else ROUGH, ceiling=most))
+            self._fit(hypothesis, z, base, FitPlan(constants.FULL if self.noise_known else ROUGH, ceiling=most))
             self.progress(done, len(starts), f"full fits of {text}")
         self.expanded.add(key)
         self.expansions += 1
@@ -354,19 +356,19 @@ class Search:
     def _out_of_minimum(self, fit: Fit) -> Fit:
         """Return the fit, or the least-squares fit from there if the errors exceed noise and it reduces them."""
         # Coloured noise from a wrong minimum keeps a fit there.
-        if noises.noise_ratio(self.problem, fit) < tuning.MOST_NOISE:
+        if noises.noise_ratio(self.problem, fit) < constants.MOST_NOISE:
             return fit
-        plain = noises.least_squares(self.problem, fit, self.noise, FitPlan(tuning.FULL))
+        plain = noises.least_squares(self.problem, fit, self.noise, FitPlan(constants.FULL))
         return min((fit, plain), key=lambda f: float(np.log(noises.whitening(self.problem, f).std).sum()))
 
     def _take_noise(self, fit: Fit) -> None:
         """Take the noise model that whitens a fit's errors, of first order if they are far beyond sensor noise."""
-        self.near = noises.noise_ratio(self.problem, fit) < tuning.BEYOND_NOISE
-        order = tuning.AR_ORDER if self.near else 1
+        self.near = noises.noise_ratio(self.problem, fit) < constants.BEYOND_NOISE
+        order = constants.AR_ORDER if self.near else 1
         self.noise = noises.widened(self.problem, fit, noises.whitening(self.problem, fit, order))
 
     def _refitted(self, fit: Fit) -> Fit:
-        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(tuning.FULL))
+        return self.problem.fit(fit.hypothesis, self.noise, fit.z, fit.starts, FitPlan(constants.FULL))
 
 
 # --- additions and removals ------------------------------------------------------------------------------------------
@@ -406,7 +408,7 @@ def _score(
 ) -> float:
     """Return the expected fall of V by an addition; a single negative strength does not count."""
     hypothesis, begun = start
-    simulators, step, n = problem.simulators(hypothesis), tuning.STEP, len(base.z)
+    simulators, step, n = problem.simulators(hypothesis), constants.STEP, len(base.z)
     parameters = hypothesis.candidates[-1].parameters
 
     def there(z: Array) -> list[Array]:

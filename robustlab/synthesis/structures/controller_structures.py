@@ -18,7 +18,7 @@ from robustlab.arrays import AnyArray, Mask
 from robustlab.checks import choice, whole
 from robustlab.errors import InputError
 from robustlab.statespace import Signal, StateSpaceModel
-from robustlab.synthesis.problem.partition import GeneralizedPlant, common_scaling, signal_positions
+from robustlab.synthesis.problem.generalized_plant import GeneralizedPlant, common_scaling, signal_positions
 
 Signals = tuple[Signal, ...]
 WHERE = "fixed structure"

@@ -17,7 +17,7 @@ from robustlab.arrays import AnyArray, Array
 from robustlab.display import AllFields
 from robustlab.errors import NoTrustworthyNumber
 from robustlab.linear_analysis import slicot
-from robustlab.synthesis.problem.partition import (
+from robustlab.synthesis.problem.generalized_plant import (
     GeneralizedPlant,
     PlantMatrices,
     Scaling,

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robustlab.arrays import Array
 from robustlab.display import AllFields, Displayable, Facts, listed, number, with_units
-from robustlab.dynamics.descriptor_family import TrimmedDescriptor, uncertain_family
+from robustlab.dynamics.equilibrium import held_descriptor
 from robustlab.dynamics.parameters import Parameter, overridden, parameter_ranges
-from robustlab.dynamics.rest import held_descriptor
+from robustlab.dynamics.parametric_descriptor import TrimmedDescriptor, uncertain_family
 from robustlab.errors import InputError, NoTrustworthyNumber
 from robustlab.provenance import Traced
 from robustlab.result import Status

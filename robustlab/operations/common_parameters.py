@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from robustlab.operations.kinds import ByNumber, Feedback, Machine, Names, Number, Numbers, RecordFile, Thing, Whole
+from robustlab.operations.parameter_types import (
+    ByNumber,
+    Feedback,
+    Machine,
+    Names,
+    Number,
+    Numbers,
+    RecordFile,
+    Thing,
+    Whole,
+)
 
 Model = Annotated[Any, Thing(("plant", "model", "uncertain", "any"), model=True), "HDF5 or MATLAB file."]
 System = Annotated[Any, Thing(("plant", "model", "uncertain", "any")), "HDF5 or MATLAB file."]

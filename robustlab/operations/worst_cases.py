@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
+from robustlab.operations.common_parameters import Seed, Uncertain
 from robustlab.operations.declaration import InLoop, operation, public
-from robustlab.operations.kinds import Choice, Keyed, Kind, Names, Number, Table, TextFile, Whole
-from robustlab.operations.words import Seed, Uncertain
+from robustlab.operations.parameter_types import Choice, Keyed, Kind, Names, Number, Table, TextFile, Whole
 
 METRICS = (
     "peak-deviation", "peak", "rms", "overshoot", "settling-time", "hinf", "h2", "spectral-abscissa", "damping",
@@ -184,7 +184,7 @@ class WorkerOptions:
     ] = None
     cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
 
-    def crew(self) -> Any:
+    def options(self) -> Any:
         from robustlab.campaign import WorkerOptions
 
         return WorkerOptions(self.workers, self.cluster)
@@ -251,7 +251,7 @@ def campaign(
             settings,
             store,
             existing="restart" if restart else "resume",
-            crew=workers.crew(),
+            workers=workers.options(),
             limit=limit,
             progress=advance,
         )
@@ -266,7 +266,7 @@ def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progres
     from robustlab.campaign import resume_campaign, saved_samples
 
     with _counted(progress, store, saved_samples(store)[1]) as advance:
-        return resume_campaign(store, crew=workers.crew(), limit=limit, progress=advance)
+        return resume_campaign(store, workers=workers.options(), limit=limit, progress=advance)
 
 
 public(
