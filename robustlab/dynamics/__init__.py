@@ -25,7 +25,7 @@ _INNER = {
     " torque_loop two_layer upper_layer",
     "descriptor_elimination": "eliminated",
     "effects.catalogue": "KINDS KIND_OF MEANINGS add_effect catalogue effect upwards",
-    "effects.contract": "Effect EffectParameter Footprint Law Prior Scales Site",
+    "effects.effect": "Effect EffectParameter Footprint Law Prior Scales Site",
     "effects.spring_effects": "DAMPING",
     "extended.attached_effect": "AttachedEffect holding_force is_set_valued rest_band steady_force",
     "extended.effect_blocks": "Dry delay_block effect_blocks effect_loads",

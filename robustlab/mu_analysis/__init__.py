@@ -11,7 +11,7 @@ __all__, __getattr__ = lazily(
         "margins.disk_margin": "gain_and_phase",
         "matrix.bounds": "MuBounds mu",
         "matrix.lower": "smallest_step",
-        "matrix.structure": "delta_norm",
+        "matrix.block_structure": "delta_norm",
         "matrix.upper": "proves",
     },
 )

@@ -348,4 +348,4 @@ def every_operation() -> list[Operation]:
 
 
 # The modules of operations.
-ALL = ("data", "designs", "members", "models", "robustness")
+ALL = ("data", "designs", "models", "robustness", "worst_cases")

@@ -8,6 +8,6 @@ __all__, __getattr__ = lazily(
         "load": "MAX_BYTES find_file load_recipe look_through parse_recipe recipe_path",
         "run": "read_result run_recipe write_report",
         "schema": "Recipe Requirement json_schema judge look_up",
-        "steps.contract": "Fact KINDS look_ahead Outcome Positive Step ToModel Workspace step",
+        "steps.step": "Fact KINDS look_ahead Outcome Positive Step ToModel Workspace step",
     },
 )
