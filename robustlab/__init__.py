@@ -83,7 +83,7 @@ _PUBLIC = {
     "control_weight": "synthesis.specifications.weight_design",
     "complementary_weight": "synthesis.specifications.weight_design",
     "makeweight": "synthesis.specifications.weight_design",
-    "Controller": "synthesis.problem.design",
+    "Controller": "synthesis.problem.controller",
     # gain scheduling
     "LPVModel": "synthesis.scheduling.parameter_varying",
     "lpv_model": "synthesis.scheduling.parameter_varying",
