@@ -59,7 +59,7 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
         "synthesis.goal_tuning": "tune",
         "synthesis.problem.generalized_plant": "generalized_plant",
         "synthesis.specifications.weight_design": "performance_weight control_weight complementary_weight makeweight",
-        "synthesis.problem.design": "Controller",
+        "synthesis.problem.controller": "Controller",
     },
     "gain scheduling": {"synthesis.scheduling.parameter_varying": "LPVModel lpv_model"},
     "reduction and discretisation": {

@@ -55,7 +55,7 @@ from robustlab.synthesis.goal_tuning import tune as tune
 from robustlab.synthesis.h2 import h2 as h2
 from robustlab.synthesis.hinf.loop_shaping import mixsyn as mixsyn
 from robustlab.synthesis.hinf.loop_shaping import ncf as ncf
-from robustlab.synthesis.problem.design import Controller as Controller
+from robustlab.synthesis.problem.controller import Controller as Controller
 from robustlab.synthesis.problem.generalized_plant import generalized_plant as generalized_plant
 from robustlab.synthesis.reduction.controller_reduction import reduce_controller as reduce_controller
 from robustlab.synthesis.reduction.model_reduction import minimal as minimal

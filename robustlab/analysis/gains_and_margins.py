@@ -257,8 +257,7 @@ def robust_stability(
         Frequencies in rad/s of the margins, without any claim between them; a stable nominal system is assumed.
     omega, tolerance, accuracy
         Of an uncertain model: frequencies in rad/s for ``mu_lower`` and ``mu_upper``, the curves of a figure; relative
-        gap that branch and bound aims at (0.01; inf: none); relative distance to the best margin that D, G can prove
-        (3e-5).
+        gap for branch and bound (0.01; inf: none); relative distance to the best margin that D, G can prove (3e-5).
     seed, effort, time_limit
         As in `peak_gain`.
 

@@ -76,8 +76,7 @@ def robust_gain(
     uncertain
         Uncertain model; an asymmetric range grows in proportion on both sides.
     level, tolerance
-        :math:`\gamma`, positive, in the unit of the outputs over that of the inputs; target of the bounds' relative
-        gap.
+        :math:`\gamma`, positive, in units of outputs per unit of inputs; target of the relative gap of the bounds.
     seed, effort
         As in `peak_gain`, of each worst-case gain.
 

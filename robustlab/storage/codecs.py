@@ -185,7 +185,7 @@ def encode_controller(tree: Tree, controller: Any) -> None:
 
 
 def decode_controller(tree: Tree, problems: Problems, transpose: bool) -> Any:
-    from robustlab.synthesis.problem.design import Controller
+    from robustlab.synthesis.problem.controller import Controller
 
     model = matrices.decode_model(tree, problems, transpose)
     return problems.built(Controller, model, *_design(tree, problems))
@@ -468,7 +468,7 @@ BY_KIND = {
         Codec("frequency-data", "uncertainty.frequency_responses.UncertainFrequencyData"),
         Codec("lpv", "synthesis.scheduling.parameter_varying.LPVModel"),
         Codec("lpv-controller", "synthesis.scheduling.parameter_varying.LPVController"),
-        Codec("controller", "synthesis.problem.design.Controller"),
+        Codec("controller", "synthesis.problem.controller.Controller"),
         Codec("record", "record.Record"),
         Codec("plant", "dynamics.plant_base.Plant", "plants"),
         Codec("result", "result.Result"),

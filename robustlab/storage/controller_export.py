@@ -25,7 +25,7 @@ from robustlab.provenance import Provenance
 from robustlab.signals import Taken, law
 from robustlab.statespace import Signal, StateSpaceModel, as_model
 from robustlab.storage.interchange import save
-from robustlab.synthesis.problem.design import Controller
+from robustlab.synthesis.problem.controller import Controller
 from robustlab.uncertainty.lft import UncertainModel
 
 PREFIX = re.compile(r"[a-z][a-z0-9_]{0,30}")

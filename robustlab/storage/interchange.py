@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from robustlab.dynamics.plant_base import Plant
     from robustlab.record import Record
     from robustlab.result import Result
-    from robustlab.synthesis.problem.design import Controller
+    from robustlab.synthesis.problem.controller import Controller
     from robustlab.synthesis.scheduling.parameter_varying import LPVController, LPVModel
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
     from robustlab.uncertainty.lft import UncertainModel

@@ -304,8 +304,7 @@ def discretise(
     InputError, NoTrustworthyNumber
         A discrete model, a sample time that is not positive, an unknown method, a prewarp frequency beyond the Nyquist
         frequency; a delay in a loop or between dynamic parts; options of a loop without a plant. A pole that the
-        bilinear map sends to infinity; a continuous loop that is not stable; no method that leaves the sampled loop
-        stable.
+        bilinear map sends to infinity; a continuous loop that is not stable; no stable sampled loop by any method.
 
     Examples
     --------

@@ -190,8 +190,7 @@ def fixed_structure(
     ----------
     P
         Generalised plant in any form that `hinf` accepts, or a list of them (one controller for all). For an uncertain
-        model the worst-case gain from w to z is minimised by adding scenarios, and the bound proved for the whole set
-        is reported.
+        model the worst-case gain from w to z is minimised by adding scenarios, and its proved bound is reported.
     structure
         A structure of `robustlab.synthesis.structures.controller_structures`, an order, a mask of a static gain, a list
         of structures (one per channel), or words: ``"static"``, ``"pid"``, ``"order:2"``, ``"poles:-1,-20"``.
@@ -214,8 +213,7 @@ def fixed_structure(
     ------
     InputError, NoTrustworthyNumber
         Plants that do not fit together, an unknown structure or parameter, an H2 norm that is infinite by structure. A
-        mode that no controller can stabilise, or no start that stabilised all plants, which does not prove that no
-        controller does.
+        mode that no controller can stabilise, or no start that stabilised all plants: no proof that there is none.
 
     Examples
     --------

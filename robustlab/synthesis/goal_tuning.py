@@ -248,15 +248,13 @@ def tune(
         u = K(p) (r - y)
 
     A goal is a norm of a weighted closed loop and is met where it is at most 1: tracking, sensitivity, gains,
-    variances, disk margins. Limits of poles and of the controller always hold. Apkarian, Noll, "Nonsmooth H-infinity
-    synthesis" (2006); Apkarian, Gahinet, Buhr, "Multi-model, multi-objective tuning of fixed-structure controllers",
-    ECC 2014.
+    variances, disk margins. Limits of poles and of the controller always hold. Apkarian, Noll 2006; Apkarian, Gahinet,
+    Buhr, "Multi-model, multi-objective tuning of fixed-structure controllers", European Control Conference (2014).
 
     Parameters
     ----------
     G
-        Plant from controls to measurements, or a list of plants with the same signals and sample time for one
-        controller.
+        Plant from controls to measurements, or a list of them with equal signals and sample time for one controller.
     structure
         As for `robustlab.fixed_structure`; its measurements are the errors r - y.
     goals

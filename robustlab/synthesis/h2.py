@@ -145,8 +145,7 @@ def synthesize_h2(
     where, dt, matrices = "synth h2", plant.model.dt, plant.matrices()
     number(f"{where}: gamma_rel", gamma_rel, at_least=1, at_most=1e6)
     refuse_extremes(plant.model, where)
-    # The search is for K less the direct term that cancels D11.
-    gain = _cancelling_gain(matrices, dt, where)
+    gain = _cancelling_gain(matrices, dt, where)  # the search is for K less this direct term
     shifted, trials = _with_gain(matrices, gain), list[_Trial]()
     refuse_overflow(where, shifted.A, shifted.B1, shifted.C1, shifted.D11)
     first, moving = paths_first(shifted), None if dt else shifted

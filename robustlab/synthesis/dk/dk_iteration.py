@@ -397,8 +397,7 @@ def dk(
         blocks of P, an UncertainModel or a `GeneralizedPlant` made from one. A repeated scalar gets a diagonal rational
         D times a constant triangular matrix.
     K0
-        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: H-infinity
-        synthesis.
+        Stabilising controller to start from (StateSpaceModel, Controller, any Synthesis); default: that of `hinf`.
     direct, mixed
         False keeps D and G constant over the frequency; False treats real blocks as complex.
     max_order
@@ -419,8 +418,7 @@ def dk(
     ------
     InputError, NoTrustworthyNumber
         Blocks that do not fit P, no blocks at all (use `hinf`), a range that is not symmetric (see `centred`), a K0
-        that does not fit or does not stabilise. An unstable mode that no controller can stabilise, or no verified
-        controller.
+        that does not fit or does not stabilise. A mode that no controller can stabilise, or no verified controller.
 
     Examples
     --------

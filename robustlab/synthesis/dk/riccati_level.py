@@ -39,8 +39,7 @@ LARGEST_MOVE = 1.0  # largest change of a logarithmic parameter in one step
 LARGEST_RANGE = 16.0  # largest distance of a logarithmic parameter from the start: they may diverge
 PLACES = 9  # frequencies tried for a new section
 
-# Measured work of a test and of a frozen form, without that of their factorisations.
-TEST_WORK, FORM_WORK = 300, 250
+TEST_WORK, FORM_WORK = 300, 250  # measured work of a test and of a frozen form, without that of their factorisations
 
 
 class Pair(NamedTuple):

@@ -374,8 +374,7 @@ def mu_curve(loop: StateSpaceModel, blocks: Sequence[Block], budget: Budget, fir
     """Return the curve of a stable continuous loop on adaptive frequencies."""
     # Each round adds the middles of the intervals in which mu is close to its peak or D changes most.
     grid = default_grid(loop, FIRST_POINTS, 1.0) if first is None else first
-    # Interleaved, so that a small budget covers the whole axis.
-    stride = max(1, len(grid) // CHUNK)
+    stride = max(1, len(grid) // CHUNK)  # interleaved, so that a small budget covers the whole axis
     order = np.concatenate([np.arange(start, len(grid), stride) for start in range(stride)])
     curve = _measured(None, loop, blocks, grid[order], budget)
     for _ in range(ROUNDS):

@@ -56,8 +56,7 @@ def mixsyn(
 
     The controller sees the error, ``u = K (r - y)``: K is *positive feedback* from ``e = r - G u`` into the generalised
     plant and the forward controller of the usual *negative* feedback loop with loop gain ``G K``. ``K.inputs`` record
-    the sign, which every function that closes a loop uses. Skogestad, Postlethwaite 2005, section 9.3.6 and example
-    2.17.
+    the sign, which every function that closes a loop uses. Skogestad, Postlethwaite 2005, section 9.3.6.
 
     Parameters
     ----------
@@ -73,8 +72,7 @@ def mixsyn(
     Returns
     -------
     HinfSynthesis
-        ``K`` with inputs ``e NAME``, the errors of the plant's outputs; ``closed_loop`` is the stack above, driven by
-        r.
+        ``K`` with inputs ``e NAME``, the errors of the plant's outputs; ``closed_loop``: the stack above, from r.
 
     Raises
     ------

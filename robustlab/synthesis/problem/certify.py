@@ -35,8 +35,7 @@ from robustlab.verification.checker import check
 from robustlab.verification.claim import Claim, Outcome
 from robustlab.verification.models import loop as closed_in_balls
 
-# Largest condition number of I + D_K D22 at which the controller with D22 included keeps its digits.
-ILL_POSED = 1e10
+ILL_POSED = 1e10  # largest condition number of I + D_K D22 at which the controller with D22 included keeps its digits
 DISTANCES = (1e-4, 1e-3, 1e-2, 1e-1)  # smallest singular values of I + D22 D_K that replace smaller ones
 NO_BASIS = 1e12  # largest condition number of a basis of modes
 HIDDEN = 1e6  # Skeel's condition number above which other states are tried

@@ -45,8 +45,7 @@ Weights = tuple[StateSpaceModel | None, StateSpaceModel | None]  # W_i and W_o
 
 BITS = 128  # precision of residuals
 RESIDUAL = 1e-8  # relative, of the equations of the Gramians
-# Hankel values below this share of the largest are rounding: their states are truncated.
-NEGLIGIBLE = 1e-14
+NEGLIGIBLE = 1e-14  # Hankel values below this share of the largest are rounding: their states are truncated
 EPS = float(np.finfo(float).eps)
 # A pole counts as stable from this distance to the boundary on, as a share of its modulus (of 1 for a discrete one).
 STABLE_MARGIN = 1e-10

@@ -22,7 +22,6 @@ from robustlab.provenance import Traced
 from robustlab.result import Status
 from robustlab.signals import Signal, law, real_array
 from robustlab.statespace import StateSpaceModel, as_model
-from robustlab.synthesis.structures.controller_structures import unpacked
 from robustlab.uncertainty.lft import UncertainModel
 
 # Origin of the bound of the deviation between the points of the grid.
@@ -168,7 +167,8 @@ class LPVModel(Behaviour, Displayable, Traced):
 
     def model_of(self, matrix: Array) -> StateSpaceModel:
         """Return a matrix ``[A B; C D]`` as a model with the names of this one."""
-        parts = unpacked(matrix, self.n_states)
+        n = self.n_states
+        parts = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         return StateSpaceModel(*parts, 0.0, self.inputs, self.outputs, self.states, where="LPVModel")
 
     def nodes(self) -> Iterator[tuple[dict[str, float], StateSpaceModel]]:

@@ -252,8 +252,7 @@ def tracking_problem(
     ``noise``: size of the noise on the controller's inputs: a number for all, or sizes by name (a reference is called
     ``<name>_ref``).
     ``loads``: inputs of G that are not controls with their sizes: forces on the plant.
-    Raises InputError: unknown names, sizes that are not positive, no weight, a weight that is not stable or has several
-    channels.
+    Raises InputError: unknown names, sizes that are not positive, no weight, an unstable one, one of several channels.
     """
     base = G if isinstance(G, UncertainModel) else UncertainModel(as_model(G, "tracking problem: G"), [])
     c, m = _positions(controlled, base.outputs, "controlled"), _positions(measured, base.outputs, "measured")

@@ -357,8 +357,7 @@ class Decentralised(Structure):
     Parameters get the number of their part as a prefix.
     """
 
-    # `Part` objects, or structures alone, one per channel in order.
-    parts: Sequence[Part | Structure]
+    parts: Sequence[Part | Structure]  # structures alone: one per channel in order
 
     def law(self, measurements: Signals, controls: Signals, dt: float) -> Law:
         y_names, u_names = [s.name for s in measurements], [s.name for s in controls]

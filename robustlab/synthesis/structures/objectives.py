@@ -186,8 +186,7 @@ Piece = tuple[float, AnyArray, bool]  # an active function: value, gradient by t
 class DesignProblem:
     """The closed loops of all plants as functions of the search variables v of a law.
 
-    ``objective`` is the norm of every plant's loop, or one for all; ``limited`` are plants of whose loops the limits
-    hold instead.
+    ``objective``: the norm of every plant's loop, or one for all; ``limited``: plants whose loops have the limits.
     """
 
     def __init__(

@@ -25,7 +25,12 @@ NEEDED = {
     "controller": {"synthesis"},
     "plant": {"delays", "dynamics"},
 }
-OF_DESIGN = ("problem.design", "problem.generalized_plant", "scheduling.scheduled_synthesis", "hinf")  # no file needs these
+OF_DESIGN = (
+    "problem.design",
+    "problem.generalized_plant",
+    "scheduling.scheduled_synthesis",
+    "hinf",
+)  # no file needs these
 HEAVY = {"scipy", "h5py", "matplotlib", "control", "cvxpy", "pandas", "pydantic"}
 
 LOAD = """
