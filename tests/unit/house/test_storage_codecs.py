@@ -25,6 +25,7 @@ NEEDED = {
     "controller": {"synthesis"},
     "plant": {"delays", "dynamics"},
 }
+# No file needs these.
 OF_DESIGN = (
     "problem.design",
     "problem.generalized_plant",
