@@ -34,7 +34,7 @@ test-all: $(DEV_READY)
 lint: $(DEV_READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python tools/language.py > /dev/null
+	$(BIN)/python tools/language.py
 
 types: $(DEV_READY)
 	$(BIN)/pyright --threads 2 --pythonpath $(BIN)/python

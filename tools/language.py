@@ -20,17 +20,17 @@ SUFFIXES = (".py", ".md", ".toml", ".jinja")
 
 
 def main() -> int:
-    """Print the files with the dialect, most first, and return the exit code."""
+    """Print the number of words, above the budget with their files, and return the exit code."""
     files = [*ROOT.glob("*.md"), *(f for folder in FOLDERS for f in (ROOT / folder).rglob("*"))]
     found = {
         file.relative_to(ROOT): Counter(DIALECT.findall(file.read_text(encoding="utf-8")))
         for file in files
         if file.suffix in SUFFIXES and "results" not in file.parts
     }
-    for name, words in sorted(found.items(), key=lambda item: -item[1].total()):
+    total = sum(words.total() for words in found.values())
+    for name, words in sorted(found.items(), key=lambda item: -item[1].total()) if total > BUDGET else ():
         if words:
             print(f"{words.total():4} {name}: {', '.join(f'{w.strip()} {n}' for w, n in words.most_common())}")
-    total = sum(words.total() for words in found.values())
     print(f"{total} words of the dialect, budget {BUDGET}")
     return int(total > BUDGET)
 
