@@ -40,7 +40,7 @@ def new(
 ) -> None:
     """Write a small commented plant to start from, NAME.py in the working directory or in the folder before NAME.
 
-    A file that is there is never written over.
+    An existing file is never overwritten.
 
     Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
     """
@@ -224,7 +224,7 @@ def _read(file: str, reading: Mapping[str, Any]) -> Any:
 def show_file(
     file: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")], as_json: bool, **reading: Any
 ) -> None:
-    """Print what a file holds.
+    """Print the content of a file.
 
     Example: robustlab model show motor.h5
     """
