@@ -143,7 +143,7 @@ def _equilibrium(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
 def _equilibrium_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
     if model is None:
         return [f"operating point: none found ({problem.line})"]
-    lines = ["operating point: rest at zero"]
+    lines = ["operating point: zero"]
     if trim is not None:
         sides = (*zip(plant.states, trim.x, strict=True), *zip(plant.inputs, trim.u, strict=True))
         rows = [(s.name, f"{value:.6g}", s.unit) for s, value in sides]
@@ -152,7 +152,7 @@ def _equilibrium_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[
     zero = max(map(abs, poles), default=0.0) * ROUNDING
     rows = [
         (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}",
-         f"{-p.real / abs(p):.3g}" if abs(p) > zero else "moves freely")
+         f"{-p.real / abs(p):.3g}" if abs(p) > zero else "integrator")
         for p in poles
     ]  # fmt: skip
     if rows:
