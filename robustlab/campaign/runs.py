@@ -288,7 +288,7 @@ def resume_campaign(
 
 
 def read_campaign(store: str | Path, limit: float | None = None) -> CampaignResult:
-    """Return the content of a store: counts, worst sample, quantiles, lost samples; also while a run writes it."""
+    """Report counts, worst sample, quantiles and lost samples of a store, also during a run."""
     with closing(Store.open(Path(store))) as opened:
         return result_of(opened, _evaluator(opened), limit)
 

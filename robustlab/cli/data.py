@@ -75,7 +75,7 @@ def _discovered(
     for file in written:
         note(f"wrote {file}")
     if found.interrupted:
-        note("interrupted: the result has what was known by then")
+        note("interrupted: the result contains what was found until then")
     elif not found.status.trustworthy:
         incomplete = ("named, incomplete", "more than half of the error is unexplained")
         whole = (found.verdict, "no single effect is identified")

@@ -85,8 +85,8 @@ READ: Mapping[str, Options] = {
         ("outputs", str | None, typer.Option(metavar="NAME,...", help="Outputs likewise, q,i=current; all others if"
          " left out."), None),
         ("dt", float | None, typer.Option(help="Sample time in s."), None),
-        ("clock", str | None, typer.Option(metavar="NAME", help="Signal with the times."), None),
-        ("allow_gaps", bool, typer.Option("--allow-gaps", help="Accept a clock with missing samples."), False),
+        ("clock", str | None, typer.Option(metavar="NAME", help="Signal that contains the times."), None),
+        ("allow_gaps", bool, typer.Option("--allow-gaps", help="Accept a time base with missing samples."), False),
     ),
 }  # fmt: skip
 VERBOSE = ("verbose", bool, typer.Option("--verbose", help="A line on stderr for each step of the search."), False)

@@ -18,8 +18,8 @@ GROUPS: dict[str, tuple[str, str]] = {
     "plant": ("plant:PLANT", "List plants, show one; start one of your own in a file."),
     "model": ("plant:MODEL designs models robustness", "Build, show, check, compare and convert models."),
     "uncertain": ("models worst_cases", "Build, show and sample uncertain models."),
-    "worst-case": ("worst_cases", "Search the worst member of an uncertain model."),
-    "violation-probability": ("worst_cases", "How probable random members violate a limit."),
+    "worst-case": ("worst_cases", "Search for the worst member of an uncertain model."),
+    "violation-probability": ("worst_cases", "Probability that random members violate a limit."),
     "campaign": ("worst_cases", "Run samples and searches of any size, resumable."),
     "mu": ("robustness", "Robust stability margin with proved mu bounds."),
     "worst-gain": ("robustness", "Proved worst-case gain of an uncertain model."),
@@ -53,8 +53,8 @@ _FOOT = """
 Options:
   --version  Print the version and exit.
   --help     Show this message and exit; COMMAND --help shows that command's.
-  --install-completion  Words completed by TAB, in the shell that you use.
-  --show-completion     Print what that shell would load.
+  --install-completion  Install TAB completion for the current shell.
+  --show-completion     Print the completion script.
 
 Start with:
   robustlab run first-light

@@ -40,7 +40,7 @@ def new(
 ) -> None:
     """Write a small commented plant to start from, NAME.py in the working directory or in the folder before NAME.
 
-    A file that is there is never written over.
+    An existing file is never overwritten.
 
     Example: robustlab plant new mymachine && robustlab plant show mymachine.py:axis
     """
@@ -143,7 +143,7 @@ def _equilibrium(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
 def _equilibrium_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[str]:
     if model is None:
         return [f"operating point: none found ({problem.line})"]
-    lines = ["operating point: rest at zero"]
+    lines = ["operating point: zero"]
     if trim is not None:
         sides = (*zip(plant.states, trim.x, strict=True), *zip(plant.inputs, trim.u, strict=True))
         rows = [(s.name, f"{value:.6g}", s.unit) for s, value in sides]
@@ -152,7 +152,7 @@ def _equilibrium_lines(plant: Any, trim: Any, model: Any, problem: Any) -> list[
     zero = max(map(abs, poles), default=0.0) * ROUNDING
     rows = [
         (f"{p.real:.6g}" + (f"{p.imag:+.6g}j" if p.imag else ""), f"{abs(p):.6g}",
-         f"{-p.real / abs(p):.3g}" if abs(p) > zero else "moves freely")
+         f"{-p.real / abs(p):.3g}" if abs(p) > zero else "integrator")
         for p in poles
     ]  # fmt: skip
     if rows:
@@ -224,7 +224,7 @@ def _read(file: str, reading: Mapping[str, Any]) -> Any:
 def show_file(
     file: Annotated[str, typer.Argument(help="HDF5 or MATLAB file.", metavar="FILE")], as_json: bool, **reading: Any
 ) -> None:
-    """Print what a file holds.
+    """Print the content of a file.
 
     Example: robustlab model show motor.h5
     """

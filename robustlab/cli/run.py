@@ -62,7 +62,7 @@ def run(
     out: Annotated[
         str | None,
         typer.Option(
-            "--out", "-o", help="Folder to write.  [default: out/NAME, and one of its own for other settings]"
+            "--out", "-o", help="Folder to write.  [default: out/NAME; another folder for each choice of settings]"
         ),
     ] = None,
     png: Annotated[bool, typer.Option("--png", help="Draw the figures as PNG, too.")] = False,
@@ -156,7 +156,7 @@ def _text(result: RunResult) -> str:
 def check(recipe: RecipeArgument, changes: ChangesOption = None, as_json: JsonOption = False) -> None:
     """Check a recipe and the files it reads without running it: keys, files, signals, units, the results required.
 
-    Every fault is named. What only the run can show is no fault.
+    All errors are listed. Errors that occur only in a run are not found.
 
     Example: robustlab recipe check first-light
     """
@@ -218,7 +218,7 @@ def schema() -> None:
 @RECIPE.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the recipe, or folder/name; the file is NAME.toml.")],
-    force: Annotated[bool, typer.Option("--force", help="Write over NAME.toml if it is there.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing NAME.toml.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a small commented recipe to start from, NAME.toml in the working directory or in the folder before NAME.
@@ -263,8 +263,8 @@ def compare(
 ) -> None:
     """Requirements and numbers of two runs side by side, what changed, and what got worse.
 
-    Worse is: a requirement was met and is not, or is no longer stated; its number came nearer to its limit or went
-    further beyond; a step's number is no longer trustworthy.
+    A run got worse if a requirement that was met is not met or not stated, if its number moved towards its limit or
+    further beyond it, or if a step's number is no longer trustworthy.
 
     Exit code 0: nothing got worse; 1: something did.
 
@@ -320,8 +320,8 @@ def verify(
 ) -> None:
     """Verify the claims of a result from its file alone: in exact and ball arithmetic, for all frequencies.
 
-    Exit code 0: all claims were proved, and the file displays the same numbers. 4: something was not proved, or
-    the file is not the one that its claims were written with. 1: a claim was refuted by a counterexample.
+    Exit code 0: all claims were proved, and the displayed numbers agree with them. 4: a claim was not proved, or
+    the file was changed after its claims were written. 1: a claim was refuted by a counterexample.
 
     Example: robustlab verify out/first-light
     """

@@ -57,7 +57,7 @@ class Parameter:
         if self.value and ((limited and self.tolerance >= 1) or (self.sign == "nonnegative" and self.tolerance > 1)):
             ends = f"a range from {self.value - self.radius:g} to {self.value + self.radius:g} {self.unit}".rstrip()
             hint = f"did you mean {self.tolerance:g}% = {self.tolerance / 100:g}?"
-            expected = "less than 1: the range must keep the sign that physics asks for"
+            expected = "less than 1: the parameter must not change its sign"
             raise InputError(where, f"relative tolerance {self.tolerance:g}, {ends}", expected, hint)
 
     @property

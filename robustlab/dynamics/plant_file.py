@@ -163,7 +163,7 @@ def _user_code(where: str) -> Iterator[None]:
 
 def _user_error(error: Exception, place: str) -> RobustlabError:
     if isinstance(error, SyntaxError) and error.filename and error.lineno:
-        return InputError(f"{Path(error.filename).name}, line {error.lineno}", f"is no Python: {error.msg}")
+        return InputError(f"{Path(error.filename).name}, line {error.lineno}", f"not valid Python: {error.msg}")
     text = next(iter(str(error).strip().splitlines()), "")
     package = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
     if package in EXTRAS:

@@ -29,7 +29,7 @@ Controller = Annotated[Any, Thing(("controller", "any"), option="--controller,-k
 Sign = Annotated[
     Any,
     Feedback(option="--feedback"),
-    "negative (u = -K y; -1 in a recipe) or positive (1); if left out, as the controller says of itself.",
+    "negative (u = -K y; -1 in a recipe) or positive (1); default: the sign stored with the controller.",
 ]
 Effort = Annotated[float, Number(above=0, most=10_000), "Work allowed for the search, as a multiple of the usual."]
 TimeLimit = Annotated[

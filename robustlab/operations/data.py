@@ -11,9 +11,9 @@ from robustlab.operations.common_parameters import Effort, Measured, Moved, Plan
 from robustlab.operations.declaration import InLoop, operation, public
 from robustlab.operations.parameter_types import Machine, Names, Number, RecordFile, Share, Table, Whole
 
-TOLERANCE = "Relative tolerance of a parameter, over the one that the plant states: Km=0.05 or Km=5%."
+TOLERANCE = "Relative tolerance of a parameter, replaces the plant's own: Km=0.05 or Km=5%."
 Records = Annotated[Any, RecordFile(named=True), "Records that the set must explain."]
-Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect not to be tried."]
+Exclude = Annotated[list[str] | None, Names(repeated=True), "Id of an effect to leave out of the search."]
 
 
 SUITED, VALIDATED = "identification.data_checks.suitability.", "identification.validation."
@@ -55,7 +55,7 @@ public(
     },
     text="""Exit code 0: the verdict is "named" or "no missing effect"; 4: it is "ambiguous" or "unknown", or more than
 half of the error remains unexplained, or the records are too poor for any verdict; 3: a record is wrong; 130: Ctrl-C
-ended the search, and the result has what was known by then.
+ended the search, and the result contains what was found until then.
 
 Example: robustlab data discover servo-axis emps.h5#train --held-out emps.h5#test --outputs q --out out/emps""",
 )  # fmt: skip

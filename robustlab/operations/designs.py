@@ -38,8 +38,8 @@ from robustlab.operations.parameter_types import (
 DESIGN, HINF, TRACKING = "synthesis.problem.design.", "synthesis.hinf.", "synthesis.specifications.tracking."
 Plant = Annotated[Design, "Generalised plant, tracking problem, plant or uncertain model."]
 Controllers = Annotated[Any, Thing(("controller", "any"), named=True), "Steps that give controllers."]
-Measured = Annotated[Channel, "Measured outputs by name, or how many of the last; a tracking problem knows its own."]
-Controls = Annotated[Channel, "Control inputs by name, or how many of the last; a tracking problem knows its own."]
+Measured = Annotated[Channel, "Measured outputs: names, or how many of the last. A tracking problem defines its own."]
+Controls = Annotated[Channel, "Control inputs: names, or how many of the last. A tracking problem defines its own."]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ Nominal = Annotated[
 ]
 # By default a tracking problem is taken at Delta = 0; all of an uncertain model's Delta counts as one full block.
 NominalProblem = Annotated[
-    bool | None, "At Delta = 0; left out so of a tracking problem; else all of Delta counts as one full block."
+    bool | None, "Design at Delta = 0 (default for a tracking problem); else all of Delta counts as one full block."
 ]
 GAMMA_REL = {"gamma_rel": Number(least=1, most=10)}
 Structure = Annotated[

@@ -151,7 +151,7 @@ def diff(
     second: Annotated[
         Any,
         Thing(ANY, model=True, positional=True, key="beside"),
-        "The other file; left out where the first one holds a nominal and a perturbed model.",
+        "The other model; omit it if the first file contains a nominal and a perturbed model.",
     ] = None,
 ) -> Any:
     """The entries in which two models differ.

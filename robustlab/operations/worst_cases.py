@@ -95,7 +95,7 @@ def worst_case(uncertain: Uncertain, *, judged: Judged, drive: Excitation, **opt
     public="worst_case_analysis.statistics.violation_probability",
     kinds={
         "probability": (
-            Number(above=0, below=1), "Show P(violation) at most so large; else exit code 1."
+            Number(above=0, below=1), "Largest P(violation) allowed; exit code 1 if the samples do not confirm it."
         ),
         "n": Whole(1, 10_000_000, option="-n,--samples"),
     },
@@ -111,7 +111,7 @@ def violation_probability(
 ) -> Any:
     """Probability that random members violate a limit of a metric, with Clopper-Pearson bounds and relevant parameters.
 
-    The parameters are taken as uniform in their ranges and independent.
+    The parameters are assumed independent and uniform in their ranges.
 
     Example: robustlab violation-probability set.h5 --limit "9 rad/s" --outputs omega --input-value u=42 --t-end 0.1
     """

@@ -123,7 +123,7 @@ def time_figure(comparison: Comparison, output: str | None = None) -> Figure:
     below.axvspan(*worst, color=style.LIMIT, alpha=0.3, lw=0, label="worst window")
     below.plot(t, y - windowed, color=WINDOWED, lw=0.9)
     title = (
-        f"windows of {comparison.window:.3g} s, each from its best start: "
+        f"windows of {comparison.window:.3g} s, each with fitted initial states: "
         f"rms {gap.windowed_rms_percent:.3g} %, peak {gap.windowed_peak_percent:.3g} %"
     )
     below.set(title=title, xlabel="time [s]", xlim=(t[0], t[-1]))

@@ -28,8 +28,8 @@ LEADING = 4  # figures below the requirements
 MAX_NUMBERS = 20_000  # characters of a step's number list in the page; result.json has all of them
 
 _MEANING = {
-    Status.CERTIFIED: "derived again from its evidence, outside the solver",
-    Status.CONVERGED: "the method ended as intended and its value was evaluated again",
+    Status.CERTIFIED: "proved again from its evidence, independently of the solver",
+    Status.CONVERGED: "the method converged and its value was confirmed; a better one may exist",
     Status.INACCURATE: "there is a value, but digits were lost",
     Status.INFEASIBLE: "shown to have no solution",
     Status.INCONCLUSIVE: "neither a value nor an impossibility could be shown",
@@ -223,7 +223,7 @@ def _status_meaning(step: Mapping[str, Any]) -> str:
         return _MEANING[Status(status)] + more
     if status == "not run":
         return "it was left out"
-    return "it ended the run" if step["error"] else "nothing here could fail to converge"
+    return "it ended the run" if step["error"] else "the step ended; there is no proof or convergence to report"
 
 
 def _pretty(numbers: Any) -> str:

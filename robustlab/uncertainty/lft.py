@@ -380,7 +380,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         ranges = {b.name: b.parameter for b in self.blocks if b.parameter is not None and b.name in delta}
         values = [(name, r, r.value(float(np.real(delta[name])))) for name, r in ranges.items()]
         return tuple(
-            f"{f'{name} = {value:.6g} {r.unit}'.rstrip()} is physically impossible ({why}): no real plant is this one"
+            f"{f'{name} = {value:.6g} {r.unit}'.rstrip()} is physically impossible ({why}): no real plant has it"
             for name, r, value in values
             if (why := r.impossible(value))
         )

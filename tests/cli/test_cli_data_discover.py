@@ -198,7 +198,7 @@ def test_an_interrupted_search_reports_its_state_and_exits_with_130(files, tmp_p
     result = json.loads(text)
     assert (code, result["names"]) == (130, ["coulomb-friction"])
     assert result["findings"][0]["kind"] == "interrupted"
-    assert "what was known by then" in err
+    assert "what was found until then" in err
     assert (tmp_path / "out" / "report.html").exists()
 
 

@@ -248,7 +248,7 @@ def test_ctrl_c_ends_an_endless_loop(folder):
 
 LATER = AXIS.replace("    return Descriptor(", "    if p['M'] == 96.0:\n        p['nothing']\n    return Descriptor(")
 FAULTS = [
-    ("x = 1 +\n", 3, "error: bad.py, line 1: is no Python: invalid syntax"),
+    ("x = 1 +\n", 3, "error: bad.py, line 1: not valid Python: invalid syntax"),
     ("import sys\nsys.exit(0)\n", 3, "error: bad.py, line 2: ends the program (sys.exit(0))"),
     ("raise KeyboardInterrupt\n", 130, "interrupted"),
     ("axis = 3\n", 3, "error: bad.py:axis: a int, expected a plant"),

@@ -157,7 +157,7 @@ class Comparison(Tabular, Evidence):
             ("model", self.model),
             ("record", f"{self.record}: {self.measured.n} samples, {number(self.measured.duration, 's')}"),
             *gaps,
-            ("windows", f"of {number(self.window, 's')}, each from its best start"),
+            ("windows", f"of {number(self.window, 's')}, each with fitted initial states"),
             ("free run", end),
             ("windows linear about the motion", self._linear_in_words()),
             *(fact for name in self.outputs for fact in self._more(name)),
@@ -205,7 +205,7 @@ class Comparison(Tabular, Evidence):
         left = sorted((u for u, test in r.inputs.items() if test.p_value < 0.01), key=lambda u: r.inputs[u].p_value)
         white = "white" if r.whiteness.p_value >= 0.01 else "not white"
         share = f"{100 * r.whiteness.explained_share:.1f} % of its variance is predictable from its past"
-        rest = f"{listed(left)} still in it" if left else "independent of the inputs"
+        rest = f"correlated with {listed(left)}" if left else "not correlated with the inputs"
         return f"{white} (p {_p(r.whiteness.p_value)}), {share}; {rest}"
 
     def _linear_in_words(self) -> str:
@@ -235,7 +235,7 @@ class Comparison(Tabular, Evidence):
         for d in self.located:
             means = [f"{mean:+.3g} +- {number(std, d.unit, 2)} {way}" for way, (mean, std) in d.sure_means.items()]
             size = f"rms {number(d.rms, d.unit, 3)}; {', '.join(means) or 'no mean that differs from zero'}"
-            share = f"{100 * d.explained_share:.0f} % of the squared error goes"
+            share = f"{100 * d.explained_share:.0f} % of the squared error explained"
             found.append((f"missing: {d.place}", f"{size}; {share}"))
         return found
 

@@ -121,7 +121,7 @@ class Margin(AxisResult, StabilityMargin):
             ("critical member", member(self.delta, self.physical) or "none found"),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("shares of the blocks", listed(f"{name} {100 * share:.0f} %" for name, share in ranked)),
-            ("tighten first", self._first()),
+            ("most sensitive to", self._first()),
             self.size_of_proof(),
             ("a margin of 1", "is the set as stated; at 2 every range could be twice as wide"),
             *(("note", note) for note in self.notes),
@@ -131,7 +131,7 @@ class Margin(AxisResult, StabilityMargin):
         """Block with the largest share, and the gain in margin for each percent of its range."""
         order = sorted(self.shares, key=lambda name: -abs(self.shares[name]))
         first = next((name for name in order if name in self.physical or name != PERFORMANCE), None)
-        return f"{first}: each percent of its range taken off gives {self.shares[first]:.2g} %" if first else ""
+        return f"{first}: a range 1 % smaller raises the margin by {self.shares[first]:.2g} %" if first else ""
 
     def details(self) -> list[Part]:
         header = ("block", "delta", "parameter", *(("share",) if self.shares else ()))

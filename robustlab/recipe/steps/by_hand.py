@@ -204,7 +204,7 @@ class RecordStep(Step):
     inputs: list[str] | None = None
     outputs: list[str] | None = None
     dt: Positive | None = None
-    clock: str | None = Field(None, description="Signal with the times, where it is not called t or time.")
+    clock: str | None = Field(None, description="Signal that contains the times, if it is not called t or time.")
     units: dict[str, str] = Field(
         {}, description='Unit that the numbers in the file are in: { phi = "deg" }; they are converted to SI.'
     )

@@ -439,8 +439,8 @@ def synthesize(
     proved = "loop of P and K is stable, its norm proved in ball arithmetic"
     parts = [chosen.doubt or proved, "by two Riccati equations"]
     if chosen is not best:
-        allowed = f"allowed {gamma_rel - 1:.0%} above the smallest gamma {best.gamma:.6g}"
-        parts.append(f"the softest controller within the {allowed}")
+        allowed = f"within {gamma_rel - 1:.0%} of the smallest gamma {best.gamma:.6g}"
+        parts.append(f"the controller with the slowest poles {allowed}")
     status, reason = final_status(Status.INACCURATE if chosen.doubt else Status.CERTIFIED, parts, budget)
     loop, norm = chosen.loop, chosen.norm
     return HinfSynthesis(

@@ -136,12 +136,12 @@ def test_a_data_file_runs_no_code(folder):
 
 PLANT = "import robustlab as rl\n"
 FAULTS = {
-    "no Python": ("def axis(:\n", "bad.py, line 1: is no Python: "),
+    "no Python": ("def axis(:\n", "bad.py, line 1: not valid Python: "),
     "bytes": (b"\xff\xfe\x00\x01", "bad.py"),
     "empty": ("", "bad.py: no plant 'axis' in it, expected a file that defines a plant"),
     "raises at import": ("x = 1\ny = x / 0\n", "bad.py, line 2: ZeroDivisionError: division by zero"),
     "raises in a module next to it": ("import neighbour\n", "neighbour.py, line 2: KeyError: 'nothing'"),
-    "no Python in a module next to it": ("import torn\n", "torn.py, line 1: is no Python: "),
+    "no Python in a module next to it": ("import torn\n", "torn.py, line 1: not valid Python: "),
     "raises in the function": (
         "def axis():\n    return [][1]\n", "bad.py, line 2: IndexError: list index out of range"),
     "calls itself": ("def axis():\n    return axis()\n", "bad.py, line 2: RecursionError: maximum recursion depth"),
