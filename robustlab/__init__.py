@@ -32,7 +32,7 @@ _GROUPS = {  # heading of the reference page -> module -> its public names
         "uncertainty.frequency_responses": "UncertainFrequencyData frequency_data",
         "uncertainty.connection": "connect",
         "uncertainty.unstructured": "unstructured",
-        "mu_analysis.margins.cover": "cover",
+        "mu_analysis.margins.uncertainty_cover": "cover",
         "uncertainty.covers": "overbound",
     },
     "analysis": {

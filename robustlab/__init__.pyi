@@ -37,7 +37,7 @@ from robustlab.linear_analysis.structural import controllability as controllabil
 from robustlab.linear_analysis.structural import observability as observability
 from robustlab.linear_analysis.zeros import zeros as zeros
 from robustlab.mu_analysis.axis.robustness import robust_performance as robust_performance
-from robustlab.mu_analysis.margins.cover import cover as cover
+from robustlab.mu_analysis.margins.uncertainty_cover import cover as cover
 from robustlab.mu_analysis.matrix.bounds import mu as mu
 from robustlab.norms import h2_norm as h2_norm
 from robustlab.record import Record as Record

@@ -36,7 +36,7 @@ BLOCK_TYPES, FREQUENCIES, LPV, EFFECTS = (
 OWN = "mu_analysis.margins."
 GAIN = {
     MODEL: ("analysis.gains_and_margins.gain_of_model", "norm band inputs outputs tolerance"),
-    DELAYED: (f"{OWN}delay_margins.delay_gain", "inputs outputs effort"),
+    DELAYED: (f"{OWN}delayed_models.delay_gain", "inputs outputs effort"),
     SET: ("mu_analysis.worst_case_gain", "inputs outputs omega tolerance seed effort time_limit"),
     FREQUENCIES: (f"{OWN}at_frequencies.worst_case_gain_at", "frequency inputs outputs seed"),
     BLOCK_TYPES: ("iqc.analysis.iqc_gain", "block_types inputs outputs order pole effort time_limit"),
@@ -49,18 +49,18 @@ OF_SET = ("mu_analysis.axis.robustness.robust_stability", "omega tolerance accur
 STABILITY = {
     MODEL: OF_SET,
     SET: OF_SET,
-    DELAYED: (f"{OWN}delay_margins.delay_stability", "effort"),
+    DELAYED: (f"{OWN}delayed_models.delay_stability", "effort"),
     FREQUENCIES: (f"{OWN}at_frequencies.robust_stability_at", "frequency seed"),
     BLOCK_TYPES: ("iqc.analysis.iqc_stability", "block_types order pole effort time_limit"),
 }
 DISK = {
     MODEL: (f"{OWN}disk_margin.disk_margin", "at skew sign seed effort time_limit"),
-    DELAYED: (f"{OWN}delay_margins.delay_disk_margins", "at skew sign seed effort"),
+    DELAYED: (f"{OWN}delayed_models.delay_disk_margins", "at skew sign seed effort"),
     FREQUENCIES: (f"{OWN}at_frequencies.disk_margin_at", "frequency at skew sign seed"),
 }
 CLASSICAL = {
     MODEL: (f"{OWN}classical.classical_margins", "at sign"),
-    DELAYED: (f"{OWN}delay_margins.delay_classical_margins", "at sign"),
+    DELAYED: (f"{OWN}delayed_models.delay_classical_margins", "at sign"),
 }
 # Of an option of `peak_gain`, and of a kind that lacks an option of a margin.
 GAIN_HINTS = {

@@ -33,9 +33,9 @@ from robustlab.mu_analysis.axis.intervals import (
 )
 from robustlab.mu_analysis.axis.margin import PERFORMANCE, Margin, WorstCaseGain
 from robustlab.mu_analysis.axis.robustness import robust_stability
-from robustlab.mu_analysis.margins.cover import Cover
-from robustlab.mu_analysis.margins.delay_margins import DelayGain, DelayProof, DelayStability, covering_set
+from robustlab.mu_analysis.margins.delayed_models import DelayGain, DelayProof, DelayStability, covering_set
 from robustlab.mu_analysis.margins.disk_margin import DiskMargin, DiskMargins
+from robustlab.mu_analysis.margins.uncertainty_cover import Cover
 from robustlab.mu_analysis.matrix.bounds import MuBounds
 from robustlab.mu_analysis.matrix.branch_and_bound import Box, lowest, root_box
 from robustlab.mu_analysis.matrix.upper import WORK

@@ -5,7 +5,7 @@ from robustlab.public_names import lazily
 __all__, __getattr__ = lazily(
     __name__,
     {
-        "experiment": "propose_experiment",
+        "experiment_design": "propose_experiment",
         "comparison.comparison": "compare Comparison OutputGap",
         "comparison.envelope": "cover",
         "missing_effects.discovery": "discover",

@@ -7,7 +7,7 @@ __all__, __getattr__ = lazily(
     {
         "axis.margin": "Margin WorstCaseGain replay",
         "axis.robustness": "robust_performance robust_stability worst_case_gain",
-        "margins.cover": "COVER_FORMS",
+        "margins.uncertainty_cover": "COVER_FORMS",
         "margins.disk_margin": "gain_and_phase",
         "matrix.bounds": "MuBounds mu",
         "matrix.lower": "smallest_step",

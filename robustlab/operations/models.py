@@ -122,7 +122,7 @@ def check(system: System) -> Any:
     Example: robustlab model check motor.h5
     """
     if isinstance(system, rl.DelayedModel):
-        from robustlab.mu_analysis.margins.delay_margins import delay_stability
+        from robustlab.mu_analysis.margins.delayed_models import delay_stability
 
         return delay_stability(system)
     from robustlab.dynamics.plant_base import Plant as AnyPlant
@@ -281,8 +281,8 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 
 
 @operation(
-    "uncertain cover", "cover-models", result="mu_analysis.margins.cover.Cover", gives="uncertain", made="model",
-    infer=("", "of models"), numbers={"loads": {"*": float}}, public="mu_analysis.margins.cover.cover",
+    "uncertain cover", "cover-models", result="mu_analysis.margins.uncertainty_cover.Cover", gives="uncertain", made="model",
+    infer=("", "of models"), numbers={"loads": {"*": float}}, public="mu_analysis.margins.uncertainty_cover.cover",
     kinds={
         "form": (Choice(COVERS), "Of the cover."), "tolerance": Number(least=0, below=1, only="step"),
         "gain": (Flag(only="step", key="conservatism"), "Compare the worst gain of the cover with that of the set."),

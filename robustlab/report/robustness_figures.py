@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from robustlab.identification.validation.model_validation import DataCover
     from robustlab.mu_analysis.axis.margin import CriticalResponse, Margin, WorstCaseGain
     from robustlab.mu_analysis.margins.at_frequencies import DiskMarginAt, GainAt, MarginAt
-    from robustlab.mu_analysis.margins.cover import Cover
+    from robustlab.mu_analysis.margins.uncertainty_cover import Cover
     from robustlab.statespace import StateSpaceModel
     from robustlab.uncertainty.unstructured import Form
     from robustlab.worst_case_analysis.sampling import Responses

@@ -50,7 +50,7 @@ MEANINGS: Mapping[Quantity, str] = {
     "force": "mean force against the positive direction, as of a load",
     "amplitude": "amplitude",
     "period": "period",
-    "delay": "total lateness at low frequency",
+    "delay": "total time delay at low frequency",
     "factor": "factor of the path from input to sensor",
 }
 

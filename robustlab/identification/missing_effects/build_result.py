@@ -40,7 +40,7 @@ from robustlab.identification.missing_effects.updated_plant import updated_plant
 from robustlab.result import Status
 
 if TYPE_CHECKING:
-    from robustlab.identification.experiment import NextExperiment
+    from robustlab.identification.experiment_design import NextExperiment
 
 T = TypeVar("T")
 MOST_OF_EXCESS = 0.5  # share of the nominal model's excess cost that sure effects must explain if a misfit remains
@@ -219,7 +219,7 @@ def _next_experiment(problem: Problem, best: Fit, rivals: Sequence[Weighted]) ->
     """Return the experiment that would separate the named effects from their rivals."""
     if not rivals or isinstance(problem.plant, NonlinearPlant):  # its controller determines the motion
         return None
-    from robustlab.identification.experiment import propose_experiment
+    from robustlab.identification.experiment_design import propose_experiment
 
     return propose_experiment(problem, best, list({w.key: w.fit for w in rivals}.values()))
 

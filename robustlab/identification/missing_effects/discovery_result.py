@@ -16,7 +16,7 @@ from robustlab.result import Evidence, Status, Table, Tabular
 
 if TYPE_CHECKING:
     from robustlab.identification.data_checks.suitability import Finding
-    from robustlab.identification.experiment import NextExperiment
+    from robustlab.identification.experiment_design import NextExperiment
     from robustlab.identification.greybox.residual_force import ResidualForce
     from robustlab.uncertainty.lft import UncertainModel
 
@@ -91,7 +91,7 @@ class NamedKind(Evidence):
 
     @property
     def words(self) -> str:
-        """Return class and place: ``dry friction at omega``, ``a lateness from u to q``."""
+        """Return class and place: ``dry friction at omega``, ``a time delay from u to q``."""
         return f"{self.title} {'from' if ' to ' in self.place else 'at'} {self.place}"
 
     @property

@@ -44,8 +44,8 @@ def test_friction_is_named_and_part_of_the_updated_plant():
     dry = numbers["dry-friction"]
     assert numbers["kinds"] == ["dry-friction"]
     assert dry["level_lower"] < 20.0 < dry["level_upper"]
-    assert numbers["lateness"]["probability"] == 0.0
-    assert np.isnan(numbers["lateness"]["delay"])
+    assert numbers["time-delay"]["probability"] == 0.0
+    assert np.isnan(numbers["time-delay"]["delay"])
     assert set(numbers) <= set(type(found).quantities)
     (kind,) = found.kinds
     assert (kind.settled, kind.words) == (True, "dry friction at v")
@@ -145,11 +145,11 @@ def test_sensor_and_input_delays_of_one_path_are_equally_probable(seed, late):
     by_names = {s.names: s.probability for s in found.posterior}
     one, other = by_names[("sensor-delay",)], by_names[("input-delay",)]
     assert abs(np.log(one / other)) < 0.1
-    assert [k.kind for k in found.kinds] == ["lateness"]
+    assert [k.kind for k in found.kinds] == ["time-delay"]
     assert found.verdict == "named"
     (delay,) = found.kinds[0].values
     assert delay.value == pytest.approx(late * 5e-3, abs=3e-3)  # half a sample
-    assert "a lateness of" in found.headline()
+    assert "a time delay of" in found.headline()
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
