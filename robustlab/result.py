@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -107,8 +107,19 @@ class Evidence(Displayable, AllFields):
                     item.setflags(write=False)
 
 
+class Typed:
+    """Base of results whose JSON has their type and their fields."""
+
+    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
+    derived: ClassVar[tuple[str, ...]] = ()  # properties that it adds
+
+    def to_json(self) -> dict[str, Any]:
+        names = (*(name for name in vars(self) if name not in self.unsaved), *self.derived)
+        return {"type": type(self).__name__, **{name: getattr(self, name) for name in names}}
+
+
 @dataclass(frozen=True, eq=False)
-class Bracket(Displayable):
+class Bracket(Typed, Displayable):
     """Two bounds of one number, where it is attained, and how far both can be trusted."""
 
     # ``lower <= number <= upper``; a class defines which of them is proved, and which attained
@@ -116,13 +127,6 @@ class Bracket(Displayable):
     upper: float
     frequency: float | None  # where it is attained, rad/s; None where unknown or without meaning
     status: Status  # CERTIFIED where both were re-derived from their evidence
-
-    unsaved: ClassVar[tuple[str, ...]] = ()  # fields that `to_json` leaves out
-    derived: ClassVar[tuple[str, ...]] = ()  # properties that it adds
-
-    def to_json(self) -> dict[str, Any]:
-        names = (*(f.name for f in fields(self) if f.name not in self.unsaved), *self.derived)
-        return {"type": type(self).__name__, **{name: getattr(self, name) for name in names}}
 
 
 @dataclass(frozen=True)

@@ -74,11 +74,8 @@ def phase_error(x: ArrayLike, order: int) -> Array:
 
 
 def pade(delay: float, order: int) -> StateSpaceModel:
-    r"""The Padé approximation of :math:`e^{-s d}` with equal degrees; an all-pass with the gain 1.
-
-    Its states are coefficients of Legendre polynomials (Lanczos's tau method): it is lossless and balanced, as :math:`A
-    + A^T = -B B^T`, :math:`C = \mp B^T`. ``delay``: in s, positive. ``order``: 1 to 40; 0 is the gain 1.
-    """
+    r"""Return the Padé approximation of :math:`e^{-s d}` with equal degrees, of an order from 0 to 40: an all-pass."""
+    # Its states are coefficients of Legendre polynomials (Lanczos's tau method): A + A' = -B B', C = -+B'.
     if not 0 < delay < np.inf:
         raise InputError("pade", f"a delay of {delay!r} s", "a positive number of seconds")
     checked_order(order, "pade")
@@ -152,11 +149,8 @@ def error_weight(order: int, weight_order: int, spread: float = 0.0) -> ErrorWei
 
 
 def high_pass(gain: float, corner: float, order: int, zero: float = 0.0) -> StateSpaceModel:
-    r"""High-pass :math:`g s \prod_i (s - q_i) / \prod_i (s - p_i)`, poles and zeros on the circles of the given radii.
-
-    They are Butterworth's, in rad/s, with the squared moduli :math:`\omega^{2k} + a^{2k}` and :math:`\omega^{2k-2} +
-    z^{2k-2}`. Sections with zeros at 0 block a constant exactly: at low frequencies the product keeps its digits.
-    """
+    """Return a high-pass with Butterworth's poles and zeros on circles of these radii in rad/s, and a zero at 0."""
+    # Sections with zeros at 0 block a constant exactly: at low frequencies the product keeps its digits.
     whole = StateSpaceModel([], [], [], [[gain]])
     pairs = _circle(zero, order - 1) if zero else [(0.0, 0.0)] * (order // 2)
     if order % 2:

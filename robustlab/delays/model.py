@@ -172,30 +172,21 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         return found
 
     def pade(self, order: int) -> StateSpaceModel:
-        r"""The model with each delay replaced by its Padé approximation of equal degrees, whose states come first.
+        r"""Return the model with Padé approximations of order 0 to 40 (0: no delays), whose states come first.
 
-        The error of one delay is proved: :math:`|e^{-j\omega\tau} - R_n| \le \min(2, c_n (\omega \tau)^{2n+1})`.
-        `uncertain` bounds its effect on a loop. ``order``: n, 0 to 40; 0 leaves the delays out.
+        For each, :math:`|e^{-j\omega\tau} - R_n| \le \min(2, c_n (\omega \tau)^{2n+1})`.
         """
         return self._closed_by([as_uncertain(pade(t, order)) for t in self.delays], "pade").M
 
     def uncertain(self, order: int = 3, weight_order: int = 3) -> UncertainModel:
-        r"""A set that holds the model with its exact delays: Padé's approximation, and a block for its error.
+        r"""Return a set that holds the model with its exact delays: Padé approximations, and blocks for their errors.
 
         .. math:: e^{-s \tau} = R_n(s) + W(s) \Delta(s), \qquad |e^{-j\omega\tau} - R_n(j\omega\tau)| \le |W(j\omega)|
            \text{ for all } \omega
 
-        That is proved for all frequencies, and :math:`\Delta` is stable: a proof for the set (`robust_stability`,
-        `peak_gain`) holds for the model with its delays. Delays of one length share one repeated block. Delays known
-        within a range only: `with_delays`.
-
-        Parameters
-        ----------
-        order
-            Order n of the approximations, 0 to 40. Higher orders cover the delay to higher frequencies: the weight
-            passes 1 near :math:`\omega \tau = 2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6.
-        weight_order
-            Slope of the weight, 1 to 2n + 1, and its number of states; of more than 2n + 1 that many are used.
+        This is proved, and :math:`\Delta` is stable: a proof for the set holds for the model with its delays. Delays
+        of one length share one repeated block. ``order``: n, 0 to 40; the weight passes 1 near :math:`\omega \tau =
+        2, 5, 6, 8, 10` for n = 1, 2, 3, 4, 6. ``weight_order``: its slope and number of states, 1 to 2n + 1.
         """
         return self._closed_by([covering(float(t), 0.0, order, weight_order) for t in self.delays], "uncertain")
 
@@ -259,10 +250,7 @@ class DelayedModel(TransferMatrix, Displayable, Traced):
         return self.select(inputs, outputs)
 
     def close(self, K: Any) -> DelayedModel:
-        """The closed loop ``u = K y``, its delays exact: y are the last ``K.n_inputs`` outputs, u the last inputs.
-
-        Signals of K and plant meet by name where they can (`robustlab.feedback`); K may have delays.
-        """
+        """Return the closed loop ``u = K y``, as `UncertainModel.close`; the delays are exact, and K may have some."""
         given = getattr(K, "K", K)
         k = given if isinstance(given, DelayedModel) else as_model(given, "close: K")
         if k.n_inputs > self.n_outputs or k.n_outputs > self.n_inputs:
@@ -314,11 +302,8 @@ def _name(length: float) -> str:
 
 
 def covering(tau: float, spread: float, order: int, weight_order: int, name: str = "") -> UncertainModel:
-    """``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output.
-
-    Equal names of blocks are one uncertainty, so a name states what its Delta depends on: the length of the delay and
-    both orders; with a spread that of its channel.
-    """
+    """Return ``R + W Delta``: all delays within ``spread`` of ``tau``, as a set with one input and one output."""
+    # Equal names of blocks are one uncertainty: a name states the length of the delay, or its channel if it is a range.
     checked_order(order, "uncertain")
     if isinstance(weight_order, int):
         weight_order = min(weight_order, 2 * order + 1)

@@ -298,11 +298,10 @@ def claim_of(posed: Posed, proof: IqcProof, *, gamma: float | None = None, size:
     M, blocks, block_types = posed.model, posed.blocks, posed.block_types
     q, p = UncertainModel(M, blocks).delta_shape if gamma is None else (M.n_inputs, M.n_outputs)
     level = {"size": np.array(size)} if gamma is None else {"gamma": np.array(gamma)}
-    slopes = [(n.slope or (0.0, 0.0)) if isinstance(n, Nonlinearity) else (0.0, 0.0) for n in block_types]
-    kinds = [
-        (3 if n.slope else 2, int(n.odd), int(n.steady)) if isinstance(n, Nonlinearity) else (int(n is not None), 0, 0)
-        for n in block_types
-    ]
+    slopes, kinds = [(0.0, 0.0)] * len(blocks), [(int(n is not None), 0, 0) for n in block_types]
+    for k, n in enumerate(block_types):
+        if isinstance(n, Nonlinearity):
+            slopes[k], kinds[k] = n.slope or (0.0, 0.0), (3 if n.slope else 2, int(n.odd), int(n.steady))
     return Claim("iqc-size" if gamma is None else "iqc-gain", {
         "A": M.A, "B": M.B[:, :q], "C": M.C[:p], "D": M.D[:p, :q], "dt": np.array(0.0),
         "blocks": block_rows(blocks), "nature": np.array(kinds, dtype=np.int64),
@@ -323,9 +322,8 @@ def posed(
         checked(f"{where}: pole", pole, "a positive number in rad/s", above=0)
     budget = search_budget(where, WORK, effort, time_limit)
     if block_types is not None and not isinstance(block_types, Mapping):
-        raise InputError(
-            f"{where}: block_types", f"{block_types!r}", "block -> what it is, such as {'k': rl.Varying(0.2)}"
-        )
+        expected = "block -> what it is, such as {'k': rl.Varying(0.2)}"
+        raise InputError(f"{where}: block_types", f"{block_types!r}", expected)
     given = dict(block_types or {})
     laws: dict[Any, Any] = {key: one for key, one in given.items() if isinstance(key, tuple)}
     for key, one in laws.items():
@@ -343,10 +341,8 @@ def posed(
         raise InputError(f"{where}: {name!r}", "no such block", expected, did_you_mean(name, known))
     own = len(known) - len(laws)  # blocks of the set, before those of the laws
     kinds = [_in_delta(where, b, named.get(b.name), i >= own) for i, b in enumerate(opened.blocks)]
-    ranges = [
-        n.sector if isinstance(n, Nonlinearity) else b.interval or (-1.0, 1.0)
-        for b, n in zip(opened.blocks, kinds, strict=True)
-    ]
+    pairs = zip(opened.blocks, kinds, strict=True)
+    ranges = [n.sector if isinstance(n, Nonlinearity) else b.interval or (-1.0, 1.0) for b, n in pairs]
     words = {b.name: _in_words(b, named.get(b.name)) for b in opened.blocks}
     conditions = tuple(f"{name}: {one.holds}" for name, one in named.items() if one.holds)
     given_as = Posed(opened.M, tuple(opened.blocks), np.array(ranges, dtype=float), tuple(kinds), words, conditions)
@@ -392,9 +388,8 @@ def _in_delta(where: str, block: Block, block_type: BlockType | None, drives: bo
             raise InputError(name, f"a {type(block).__name__} of {block.rows} x {block.cols}", "a real one, once")
         low, high = block.ends
         if not np.allclose(block_type.sector, (low, high), rtol=1e-9, atol=1e-12 * (high - low)):
-            raise InputError(
-                name, f"a law of sector {block_type.sector}", f"the block's own range, {low:g} .. {high:g}"
-            )
+            expected = f"the block's own range, {low:g} .. {high:g}"
+            raise InputError(name, f"a law of sector {block_type.sector}", expected)
         sector = block.interval or (-1.0, 1.0)
         slope = block_type.slope and tuple((end - nominal) / radius for end in block_type.slope)
         # A sector is within the slope, also after rounding.
@@ -415,11 +410,8 @@ def _in_words(block: Block, block_type: BlockType | None) -> str:
     if block_type is None:
         return "constant real parameter" if block.is_real else "time-invariant dynamics"
     if isinstance(block_type, Varying):
-        return (
-            f"varies by at most {block_type.rate:g} {unit}/s"
-            if np.isfinite(block_type.rate)
-            else "varies arbitrarily fast"
-        )
+        bounded = np.isfinite(block_type.rate)
+        return f"varies by at most {block_type.rate:g} {unit}/s" if bounded else "varies arbitrarily fast"
     low, high = block_type.sector
     text = f"{'odd ' if block_type.odd else ''}nonlinearity, sector [{low:.4g}, {high:.4g}]"
     text += f", slope [{block_type.slope[0]:.4g}, {block_type.slope[1]:.4g}]" if block_type.slope else ""

@@ -169,11 +169,8 @@ def law(
 
 
 def _kernel(x: Unknowns, order: int) -> Array:
-    r"""Read c of :math:`h(t) = a e^{-a t} \sum_l c_l (a t)^l / l!`.
-
-    Its polynomial is :math:`s^T Q_1 s + a t \, s^T Q_2 s` with :math:`s_i = (a t)^i / i!`: every polynomial that is
-    nonnegative for t >= 0 has this form.
-    """
+    r"""Read c of :math:`h(t) = a e^{-a t} \sum_l c_l (a t)^l / l!`."""
+    # With s_i = (a t)^i / i! every polynomial that is nonnegative for t >= 0 is s' Q1 s + a t s' Q2 s.
     found = np.zeros(order)
     for shift in range(min(order, 2)):
         Q = x.definite((order - 1 - shift) // 2 + 1)

@@ -166,10 +166,8 @@ def _schur_graph(A: AnyArray, G: AnyArray, Q: AnyArray) -> AnyArray | None:
 
 
 def _refined(X: AnyArray, weighed: Callable[[AnyArray], Weighed]) -> tuple[AnyArray, float]:
-    """Refine the solution by Newton's steps as long as the residual falls (Kleinman 1968); return it with the residual.
-
-    X may be wrong by tens of per cent if the eigenvalues of the Hamiltonian span ten decades.
-    """
+    """Refine the solution by Newton's steps while the residual falls (Kleinman 1968); return it with the residual."""
+    # X may be wrong by tens of per cent if the eigenvalues of the Hamiltonian span ten decades.
     from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
     loop, left, residual = weighed(X)

@@ -399,14 +399,9 @@ def _margins(a: Array, b: Array, eigenvalues: ComplexArray) -> Array:
 
 
 def _hidden_modes(
-    a: Array,
-    basis: Array,
-    states: NDArray[np.object_],
-    discrete: bool,
-    kind: Kind,
-    rate: float = 1.0,
-    size: float = 0.0,
-) -> list[HiddenMode]:
+    a: Array, basis: Array, states: NDArray[np.object_], discrete: bool, kind: Kind,
+    rate: float = 1.0, size: float = 0.0,
+) -> list[HiddenMode]:  # fmt: skip
     """Return the modes of ``rate a``, whose entries carry the rounding of numbers of ``size`` at least."""
     from scipy.linalg import eig
 

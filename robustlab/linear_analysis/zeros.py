@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -29,7 +29,7 @@ from robustlab.display import Displayable, Facts, Part, listed, number
 from robustlab.errors import NoTrustworthyNumber, error_context
 from robustlab.linear_analysis import slicot
 from robustlab.linear_analysis.matrices import equilibrating_exponents, refuse_extremes, system_matrix
-from robustlab.result import Status
+from robustlab.result import Status, Typed
 from robustlab.statespace import StateSpaceModel, as_model
 
 if TYPE_CHECKING:
@@ -254,7 +254,7 @@ HIDDEN = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
-class Zeros(Displayable):
+class Zeros(Typed, Displayable):
     """Finite invariant zeros of a model."""
 
     #: Shape (n_zeros,), with their multiplicities, by rising modulus; in rad/s, or in the z plane of a discrete model
@@ -306,13 +306,10 @@ class Zeros(Displayable):
             ("reason", self.reason),
         ]
 
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "Zeros", **{field.name: getattr(self, field.name) for field in fields(self)}}
-
 
 @error_context("zeros")
 def zeros(model: Any) -> Zeros:
-    r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes.
+    r"""Compute all finite invariant zeros of a model: transmission zeros and hidden modes (Rosenbrock 1970).
 
     Parameters
     ----------
@@ -329,10 +326,6 @@ def zeros(model: Any) -> Zeros:
     ------
     InputError
         No model.
-
-    References
-    ----------
-    Rosenbrock (1970).
 
     Examples
     --------

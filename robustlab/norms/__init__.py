@@ -16,21 +16,7 @@ from robustlab.norms.hinfinity import (
 )
 
 __all__ = [
-    "QUIET",
-    "H2Norm",
-    "HinfNorm",
-    "PeakGain",
-    "bilinear_to_continuous",
-    "bilinear_to_discrete",
-    "gain_rounding",
-    "h2_by_channels",
-    "h2_by_gramians",
-    "h2_norm",
-    "balancing_units",
-    "hinf_norm",
-    "linf_norm",
-    "loop_numbers",
-    "model_numbers",
-    "unstable_norm",
-    "well_scaled",
-]
+    "QUIET", "H2Norm", "HinfNorm", "PeakGain", "balancing_units", "bilinear_to_continuous", "bilinear_to_discrete",
+    "gain_rounding", "h2_by_channels", "h2_by_gramians", "h2_norm", "hinf_norm", "linf_norm", "loop_numbers",
+    "model_numbers", "unstable_norm", "well_scaled",
+]  # fmt: skip

@@ -156,11 +156,8 @@ def gain_in_balls(model: StateSpaceModel, omega: float) -> float:
 
 
 def gramian_matrix(model: StateSpaceModel, value: float, level: float, numbers: Numbers) -> Numbers:
-    r"""Return ``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it, or nothing.
-
-    :math:`A^T P + P A + C^T C + \varepsilon I = 0` in balanced states, with :math:`\varepsilon` so small that P still
-    proves the level.
-    """
+    """Return ``P`` and ``P_low`` (n, n) that prove the H2 norm ``value`` at the ``level`` above it, or nothing."""
+    # A'P + P A + C'C + e I = 0 in balanced states, with e so small that P still proves the level.
     n = model.n_states
     t = np.exp2(balancing_exponents(model.A, model.B, model.C).astype(float))
     A, B = model.A / t[:, None] * t, model.B / t[:, None]

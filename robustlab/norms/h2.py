@@ -63,6 +63,7 @@ def h2_norm(model: Any) -> H2Norm:
     and, discrete, :math:`\|G\|_2^2 = \mathrm{tr}(C P C^T + D D^T)` with ``A P A^T - P + B B^T = 0``, the mean of
     ``tr G G^*`` over the unit circle. If they do not agree to 1e-10, or a pole is next to the stability boundary, a
     Gramian is computed by residuals in extended precision, and used if ball arithmetic proves the norm from it.
+    Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 4.4.
 
     Parameters
     ----------
@@ -82,10 +83,6 @@ def h2_norm(model: Any) -> H2Norm:
     NoTrustworthyNumber
         Entries of the model are below 1e-100 or above 1e100.
 
-    References
-    ----------
-    Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), section 4.4.
-
     Examples
     --------
     >>> lag = StateSpaceModel([[-2.0]], [[1.0]], [[6.0]], [[0.0]])
@@ -94,7 +91,7 @@ def h2_norm(model: Any) -> H2Norm:
     (3.0, 'converged')
     """
     m = as_model(model, "h2_norm")
-    found, gap, _, _ = _by_gramians(m)
+    found, gap, _, _ = h2_by_channels(m)
     if np.isnan(gap) and found.status is not Status.FAILED:
         return replace(found, system=m, reason=with_hidden(found.reason, m) if np.isinf(found.value) else found.reason)
     poles = m.poles()
@@ -122,17 +119,14 @@ def _in_balls(found: H2Norm, m: StateSpaceModel) -> H2Norm:
 @error_context("h2_norm")
 def h2_by_gramians(model: Any) -> H2Norm:
     """Compute `h2_norm` for searches: INACCURATE if the two Gramians differ by more than 1e-6."""
-    return _by_gramians(as_model(model, "h2_norm"))[0]
+    return h2_by_channels(as_model(model, "h2_norm"))[0]
 
 
-def h2_by_channels(m: StateSpaceModel) -> tuple[H2Norm, AnyArray, AnyArray]:
-    """Compute `h2_by_gramians`, and the parts of its square by outputs (n_y,) and inputs (n_u,); zeros without one."""
-    found, _, out, into = _by_gramians(m)
-    return found, out, into
+def h2_by_channels(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]:
+    """Compute the norm, the relative difference of both Gramians, and the parts of its square by outputs and inputs.
 
-
-def _by_gramians(m: StateSpaceModel) -> tuple[H2Norm, float, AnyArray, AnyArray]:
-    """Compute the norm, the relative difference of both Gramians (NaN without them), and parts by channels."""
+    Without Gramians the difference is NaN, and the parts are zero.
+    """
     refuse_extremes(m, "h2_norm")
     none = np.nan, np.zeros(m.n_outputs), np.zeros(m.n_inputs)
     outside = unstable_norm(m) if m.n_states else None

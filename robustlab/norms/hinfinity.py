@@ -4,11 +4,7 @@ r"""H-infinity and L-infinity norm as a proved bracket: AB13DD finds the peak, o
 every eigenvalue counts as a candidate crossing, without a tolerance on its real part, and ``sigma_max`` is evaluated at
 all of them and between each two: if none exceeds the level, it is an upper bound; else the largest is the next lower
 bound, which also finds the peaks that AB13DD misses. The level is as far above the peak as rounding requires; if that
-is too far, ball arithmetic decides.
-
-References
-----------
-Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
+is too far, ball arithmetic decides. Boyd, Balakrishnan 1990; Bruinsma, Steinbuch 1990.
 """
 
 from __future__ import annotations

@@ -282,7 +282,8 @@ def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in n
 
 @operation(
     "uncertain cover", "cover-models", result="mu_analysis.margins.uncertainty_cover.Cover", gives="uncertain",
-    made="model", infer=("", "of models"), numbers={"loads": {"*": float}}, public="mu_analysis.margins.uncertainty_cover.cover",
+    made="model", infer=("", "of models"), numbers={"loads": {"*": float}},
+    public="mu_analysis.margins.uncertainty_cover.cover",
     kinds={
         "form": (Choice(COVERS), "Of the cover."), "tolerance": Number(least=0, below=1, only="step"),
         "gain": (Flag(only="step", key="conservatism"), "Compare the worst gain of the cover with that of the set."),

@@ -242,7 +242,7 @@ def _trial(
         if np.abs(loop.D).max(initial=0.0) > allowed:  # more than rounding of the cancellation
             return None
         loop = loop._in_states(loop.A, loop.B, loop.C, np.zeros_like(loop.D))
-    norm, out, into = h2_by_channels(loop)
+    norm, _, out, into = h2_by_channels(loop)
     if not np.isfinite(norm.value):
         return None
     return _Trial(K, loop, norm, _largest_channels(loop, out, into), eps)

@@ -127,11 +127,10 @@ SAMPLED = "sampled"  # first word of the origin of a block that holds for sample
 
 
 class Block:
-    """One block ``Delta_i``, ``w = Delta_i z``, of a structured perturbation; the defaults are those of a full block.
+    """One block ``w = Delta_i z`` of a structured perturbation; the defaults are those of a full block."""
 
-    With a member its multiples by 0 .. 1 are in the set. A *value* is the user's form of a member: a number for a
-    scalar kind, else a matrix of `value_shape`.
-    """
+    # With a member its multiples by 0 .. 1 are in the set. A *value* is the user's form of a member: a number for a
+    # scalar kind, else a matrix of `value_shape`.
 
     name: str  # unique within a structure
     # rows, cols: entries of w and of z
@@ -152,11 +151,6 @@ class Block:
             raise InputError("block", f"name {self.name!r}", "a text of 1 to 200 characters")
         for size in (self.rows, self.cols):
             whole(f"block {self.name!r}: size", size, 1)
-
-    @property
-    def is_sampled(self) -> bool:
-        """Return whether the block was verified at samples only, as the first word of its origin."""
-        return self.origin.startswith(SAMPLED)
 
     def _no_arithmetic(self, other: object = None) -> Any:
         """Reject arithmetic: a block is a set, and expressions in parameters are given as text."""

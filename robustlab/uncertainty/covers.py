@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +22,7 @@ from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.matrices import of_system_matrix, system_matrix
 from robustlab.linear_analysis.zeros import transmission_zeros
 from robustlab.norms import bilinear_to_discrete, hinf_norm
-from robustlab.result import Status
+from robustlab.result import Status, Typed
 from robustlab.statespace import StateSpaceModel, append, as_model
 from robustlab.uncertainty.blocks import ParameterRange, RealScalar
 from robustlab.uncertainty.elementwise import check_pair, elementwise, entry_scale
@@ -42,7 +42,7 @@ ABOVE = 1e-12  # rounding in a frequency response
 
 
 @dataclass(frozen=True, eq=False)
-class Overbound(Displayable):
+class Overbound(Typed, Displayable):
     """A weight above a bound, with its evaluation grid."""
 
     weight: StateSpaceModel  #: Stable, minimum phase, with as many zeros as poles: its inverse is stable, too
@@ -51,6 +51,8 @@ class Overbound(Displayable):
     bound: Array
     magnitude: Array
     status: Status  #: CONVERGED where the excess is within the tolerance, else INACCURATE
+
+    derived: ClassVar[tuple[str, ...]] = ("order", "excess", "lowest")
 
     @property
     def order(self) -> int:
@@ -78,10 +80,6 @@ class Overbound(Displayable):
             ("above the bound", f"{100 * self.lowest:.3g} % .. {100 * self.excess:.3g} %"),
             ("frequencies", f"{number(self.omega[0])} .. {number(self.omega[-1], 'rad/s')}, {len(self.omega)} points"),
         ]
-
-    def to_json(self) -> dict[str, Any]:
-        derived = {"order": self.order, "excess": self.excess, "lowest": self.lowest}
-        return {"type": "Overbound", "weight": self.weight, **derived, **vars(self)}
 
 
 @error_context("overbound")

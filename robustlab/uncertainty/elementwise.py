@@ -336,12 +336,9 @@ def _assemble(nominal: StateSpaceModel, parts: list[_Part], full: bool = False) 
 
 
 def check_pair(
-    nominal: StateSpaceModel,
-    perturbed: StateSpaceModel,
-    first: str = "nominal",
-    second: str = "perturbed",
+    nominal: StateSpaceModel, perturbed: StateSpaceModel, first: str = "nominal", second: str = "perturbed",
     where: str = "elementwise",
-) -> None:
+) -> None:  # fmt: skip
     """Check that two models, called ``first`` and ``second``, have the same sizes, sample time, signals and units."""
     shapes = {name: (getattr(perturbed, name).shape, getattr(nominal, name).shape) for name in "ABCD"}
     sizes = [(name, found, wanted) for name, (found, wanted) in shapes.items() if found != wanted]

@@ -7,19 +7,19 @@ IEEE TAC 38 (1993).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from robustlab.arrays import Array
-from robustlab.display import Displayable, Facts, bracket, number
+from robustlab.display import Facts, bracket, number
 from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.feedback import closing
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.linear_analysis.matrices import RiccatiSolution, care, refuse_extremes, refuse_overflow
 from robustlab.linear_analysis.structural import hidden_unstable, with_hidden
 from robustlab.norms import bilinear_to_continuous, hinf_norm, well_scaled
-from robustlab.result import Status
+from robustlab.result import Bracket, Status
 from robustlab.statespace import StateSpaceModel, as_model, lower_lft, series
 
 INNER = 1e-7  # allowed deviation of the factors from inner, at frequencies around the model's poles
@@ -81,25 +81,25 @@ def coprime_factors(model: StateSpaceModel) -> CoprimeFactors:
     left = StateSpaceModel(m.A + h @ m.C, B, root_s @ m.C, D)
     _check_inner(m, right, left)
     root = np.sqrt(found.rate)
-    made = [StateSpaceModel(x.A * found.rate, x.B * root, x.C * root, x.D) for x in (right, left)]
-    return CoprimeFactors(made[0], made[1])
+    return CoprimeFactors(*(StateSpaceModel(x.A * found.rate, x.B * root, x.C * root, x.D) for x in (right, left)))
 
 
 @dataclass(frozen=True)
-class CoprimeMargin(Displayable):
-    """Stability margin b(P, C) of a loop."""
+class CoprimeMargin(Bracket):
+    """Stability margin b(P, C) of a loop, attained at ``frequency``; 0 where C does not stabilise P.
 
-    #: ``lower <= b <= upper``; both 0 where C does not stabilise P
-    lower: float
-    upper: float
-    frequency: float | None  #: Frequency of the minimum in rad/s; None where C does not stabilise P
+    ``status`` is that of the H-infinity norm of the computation.
+    """
+
     best: float  #: The largest margin of any controller for this plant
-    status: Status  #: Status of the H-infinity norm of the computation
     reason: str = ""  #: Why the margin is 0 or inaccurate; else empty
     loop: str = ""  #: The feedback law and its source
     #: The loop u = K y, for `robustlab.verify`
     plant: StateSpaceModel | None = field(default=None, compare=False, repr=False)
     K: StateSpaceModel | None = field(default=None, compare=False, repr=False)
+
+    unsaved: ClassVar[tuple[str, ...]] = ("plant", "K")
+    derived: ClassVar[tuple[str, ...]] = ("value",)
 
     @property
     def value(self) -> float:
@@ -115,10 +115,6 @@ class CoprimeMargin(Displayable):
             ("reason", self.reason),
         ]
 
-    def to_json(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if name not in ("plant", "K")}
-        return {"type": "CoprimeMargin", "value": self.value, **kept}
-
 
 @error_context("coprime_margin")
 def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> CoprimeMargin:
@@ -127,7 +123,8 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     .. math:: b(P, C) = \left\| \begin{bmatrix} P \\ I \end{bmatrix} (I - s C P)^{-1}
        \begin{bmatrix} -C & I \end{bmatrix} \right\|_\infty^{-1}
 
-    with s = ``sign``. C stabilises every plant whose nu-gap to P is less than b(P, C).
+    with s = ``sign``. C stabilises every plant whose nu-gap to P is less than b(P, C). Glover, McFarlane (1989);
+    Vinnicombe, *Uncertainty and Feedback* (2001), section 1.2.
 
     Parameters
     ----------
@@ -146,10 +143,6 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     InputError
         Sizes or sample times that do not fit, or an algebraic loop.
 
-    References
-    ----------
-    Glover, McFarlane (1989); Vinnicombe, *Uncertainty and Feedback* (2001), section 1.2.
-
     Examples
     --------
     >>> lag = StateSpaceModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
@@ -163,9 +156,9 @@ def coprime_margin(P: Any, C: Any, *, sign: Literal[-1, 1] | None = None) -> Cop
     norm = hinf_norm(loop, rtol=1e-9)
     best = coprime_riccati(*continuous_models(plant)).best_margin
     if not np.isfinite(norm.upper):
-        return CoprimeMargin(0.0, 0.0, None, best, norm.status, with_hidden(norm.reason, plant, k), found.said)
+        return CoprimeMargin(0.0, 0.0, None, norm.status, best, with_hidden(norm.reason, plant, k), found.said)
     bounds = 1 / norm.upper, 1 / norm.lower
-    return CoprimeMargin(*bounds, norm.frequency, best, norm.status, norm.reason, found.said, plant, law)
+    return CoprimeMargin(*bounds, norm.frequency, norm.status, best, norm.reason, found.said, plant, law)
 
 
 def four_block(plant: StateSpaceModel) -> StateSpaceModel:
@@ -211,18 +204,16 @@ SIDE = 1e-11  # relative real part below which the sign of an eigenvalue is unce
 
 
 @dataclass(frozen=True)
-class NuGap(Displayable):
-    """The nu-gap between two models, with its evidence."""
+class NuGap(Bracket):
+    """The nu-gap between two models; INACCURATE where a norm or the sign of a zero is uncertain, else CERTIFIED."""
 
-    #: ``lower <= nu-gap <= upper``
-    lower: float
-    upper: float
     frequency: float  #: Frequency of the largest pointwise (chordal) distance, in rad/s; ``inf`` for the direct terms
     chordal: float  #: That distance; the nu-gap where ``winding`` is 0
     #: Winding number of det(G2* G1) around the origin: its zeros minus its poles in the right half plane
     winding: int
-    status: Status  #: CERTIFIED, or INACCURATE where a norm or the sign of a zero is uncertain
     reason: str = ""  #: Why the value is 1 or inaccurate; else empty
+
+    derived: ClassVar[tuple[str, ...]] = ("value",)
 
     @property
     def value(self) -> float:
@@ -237,16 +228,13 @@ class NuGap(Displayable):
             ("reason", self.reason),
         ]
 
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "NuGap", "value": self.value, **vars(self)}
-
 
 @error_context("nu_gap")
 def nu_gap(P1: Any, P2: Any) -> NuGap:
     r"""Return the nu-gap metric between two models of equal size.
 
     The largest chordal distance over the axis is an H-infinity norm, by the level-set method; the winding number
-    follows from the poles and zeros of det(G2* G1).
+    follows from the poles and zeros of det(G2* G1). Vinnicombe, *Uncertainty and Feedback* (2001), chapter 3.
 
     Parameters
     ----------
@@ -265,10 +253,6 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
         Sizes or sample times that do not fit.
     NoTrustworthyNumber
         A model with a hidden unstable mode.
-
-    References
-    ----------
-    Vinnicombe (1993); Vinnicombe, *Uncertainty and Feedback* (2001), chapter 3.
 
     Examples
     --------
@@ -292,12 +276,12 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
     if dt:
         frequency = 2 / dt * float(np.arctan(frequency * dt / 2))
     if norm.lower <= NOTHING:
-        return NuGap(0.0, NOTHING, frequency, norm.lower, 0, Status.CERTIFIED)
+        return NuGap(0.0, NOTHING, frequency, Status.CERTIFIED, norm.lower, 0)
     chordal = min(norm.lower, 1.0)
     winding, sure = _winding(one, two)
     if winding is None:
         text = "det(G2* G1) vanishes on the stability boundary"
-        return NuGap(1.0, 1.0, frequency, chordal, 0, norm.status, text)
+        return NuGap(1.0, 1.0, frequency, norm.status, chordal, 0, text)
     status, reason = norm.status, norm.reason
     # Where the models are 1 apart at some frequency, the winding number no longer matters.
     counted = sure or norm.lower < 1 - AGREE
@@ -305,9 +289,9 @@ def nu_gap(P1: Any, P2: Any) -> NuGap:
         status, reason = Status.INACCURATE, "a zero of det(G2* G1) is too close to the stability boundary to count"
     if counted and winding != 0 and norm.lower < 1:
         text = f"det(G2* G1) winds {winding} times around the origin: no controller is good for both"
-        return NuGap(1.0, 1.0, frequency, chordal, winding, status, text if sure else reason)
+        return NuGap(1.0, 1.0, frequency, status, chordal, winding, text if sure else reason)
     upper = min(norm.upper, 1.0) if counted else 1.0
-    return NuGap(chordal, upper, frequency, chordal, winding, status, reason)
+    return NuGap(chordal, upper, frequency, status, chordal, winding, reason)
 
 
 def _winding(one: CoprimeFactors, two: CoprimeFactors) -> tuple[int | None, bool]:

@@ -27,7 +27,7 @@ from robustlab.operators import TransferMatrix, carried_by_rank
 from robustlab.provenance import Traced
 from robustlab.signals import MAX_NAME, Signal, is_constant, is_number, picked, real_array, same_units
 from robustlab.statespace import OperatingPoint, StateSpaceModel, append, as_model, lower_lft
-from robustlab.uncertainty.blocks import Block, as_blocks, block_slices, delta_matrix, structure_size
+from robustlab.uncertainty.blocks import SAMPLED, Block, as_blocks, block_slices, delta_matrix, structure_size
 
 # Every interconnection of LFTs is an LFT in the same named blocks; a plain model is one without blocks. A block name
 # in several operands is the same uncertainty: its channels become one repeated block, which is then reduced. Signals
@@ -273,10 +273,8 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     def evaluate(self, delta: Mapping[str, Any]) -> StateSpaceModel:
         """Return the member of the set for one real value (or matrix) per block name; omitted blocks are zero.
 
-        Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full or complex block also
-        takes a StateSpaceModel (rows x cols for a full block, 1 x 1 for a scalar one), a dynamic Delta. The member's
-        states are then those of M followed by those of the Deltas. A Delta that makes the model ill-posed is refused
-        with its values; complex values need `response`.
+        Values outside [-1, 1] are allowed: a critical Delta may be larger than the set. A full block also takes a
+        StateSpaceModel (rows x cols), a complex scalar one of 1 x 1; its states come last. Complex values: `response`.
         """
         constant, dynamic = self._split(delta)
         (q, p), m = constant.shape, self.M
@@ -388,7 +386,7 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
     @property
     def sampled(self) -> tuple[str, ...]:
         """Return the names of the blocks that were computed from samples and hold for these only; see ``origin``."""
-        return tuple(b.name for b in self.blocks if b.is_sampled)
+        return tuple(b.name for b in self.blocks if b.origin.startswith(SAMPLED))
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -399,12 +397,10 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         return (f"the set holds the plant for samples only (blocks {names}): what is proved is proved for the set",)
 
     def centred(self, level: float = 1.0) -> UncertainModel:
-        r"""Return the set scaled by ``level``, with every real range symmetric about its own middle.
+        """Return the set with every real range symmetric about its own middle, where the new nominal model is.
 
-        Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. Block names,
-        full and complex blocks are kept (the latter scaled by ``level``). The nominal model is the one at the middles.
-
-        ``level``: positive; 2 takes each end twice as far from the nominal value.
+        Members are the same, their deltas are not: a range [0.75, 1.5] around 1 becomes 1.125 +- 0.375. ``level``
+        scales all blocks before: 2 moves each end twice as far from the nominal value.
         """
         # [-rho m, m] becomes c + r [-1, 1] by Delta = C + R Delta', c = m (1 - rho) / 2, r = m (1 + rho) / 2.
         level = checked_number("centred: level", level, "a positive finite number", above=0)
@@ -419,12 +415,10 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         return UncertainModel(recentred(self.M, self.blocks, centre, scale, "centred"), blocks)
 
     def realised(self, delta: Mapping[str, Any], frequency: float) -> dict[str, float | StateSpaceModel]:
-        r"""Return stable systems for the blocks of a complex Delta, of its norm, equal to it at one frequency in rad/s.
+        """Return stable systems for the blocks of a complex Delta, of its norm, equal to it at one frequency in rad/s.
 
-        With a critical Delta of `robust_stability` the member ``set.evaluate(set.realised(delta, frequency))`` has a
-        pole at :math:`j \omega_0`, so the loss of stability can be simulated. Real parameters remain numbers, a complex
-        scalar becomes a model of at most two states, a full block one of ``cols`` inputs and ``rows`` outputs. Complex
-        values are refused at the ends of the axis, where systems with real coefficients are real.
+        Real parameters remain numbers. With the critical Delta of `robust_stability` and its frequency, the member of
+        these values has a pole there. Complex values at the ends of the axis are rejected: real systems are real there.
         """
         from robustlab.uncertainty.perturbation_systems import realise_delta  # loads the norms
 
@@ -440,11 +434,9 @@ class UncertainModel(TransferMatrix, Displayable, Traced):
         return UncertainModel(lower_lft(self.M, wired(k, y, u, "close")), self.blocks)
 
     def reduce(self, tolerance: float = 1e-12) -> UncertainModel:
-        """Return the same set with minimal repetitions of each scalar block; evidence: `reduce_model`.
+        """Return the same set with minimal repetitions of each scalar block, without those that have no effect.
 
-        Like the states of a transfer function in 1/s, uncontrollable and unobservable repetitions are removed (Kalman
-        decomposition of all blocks jointly; D'Andrea, Khatri 1997). A scalar block without effect is removed, and its
-        name is then unknown to `evaluate`. Singular values below ``tolerance`` times the largest count as zero.
+        Singular values below ``tolerance`` times the largest count as zero. `reduce_model` gives the evidence.
         """
         from robustlab.uncertainty.reduction import reduction  # files of sets are read without it
 
@@ -593,7 +585,7 @@ def inverse(g: UncertainModel) -> UncertainModel:
 @error_context("lft")
 @carried_by_rank
 def lft(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int | None = None) -> UncertainModel:
-    r"""Return the Redheffer star product of two models.
+    r"""Return the Redheffer star product of two models (Zhou, Doyle, Glover 1996, section 10.3).
 
     The last outputs of ``first`` drive the first inputs of ``second``, and its first outputs the last inputs of
     ``first``.
@@ -618,10 +610,6 @@ def lft(first: Any, second: Any, n_to_second: int | None = None, n_to_first: int
         Numbers beyond the available signals.
     NoTrustworthyNumber
         The nominal loop is not well posed.
-
-    References
-    ----------
-    Zhou, Doyle, Glover (1996), section 10.3.
     """
     a, b = as_uncertain(first, "lft"), as_uncertain(second, "lft")
     (a_in, a_out), (b_in, b_out) = ((len(m.inputs), len(m.outputs)) for m in (a, b))

@@ -287,10 +287,7 @@ def _lft(
 
 
 def _missed(model: UncertainModel, table: Table, ranges: Mapping[str, ParameterRange], exact: Values) -> float:
-    """Return the largest error of an entry against the texts, evaluated in floats at random values and at vertices.
-
-    It is relative to the entry's largest value; for zero entries to the largest of their row and column.
-    """
+    """Return the largest error of an entry against the texts at random values and at vertices, relative to its size."""
     rng, k, known = np.random.default_rng(0), len(ranges), {b.name for b in model.blocks}
     deltas = [np.zeros(k), np.ones(k), -np.ones(k), *rng.uniform(-1, 1, (4, k)), *rng.choice([-1.0, 1.0], (2, k))]
     wanted, off = [], []

@@ -14,9 +14,6 @@ form                              member                                  M (Del
 ================================  ======================================  ============================================
 
 The inverse additive member is :math:`(I + G E)^{-1} G`, which needs no inverse of G and holds for any shape.
-
-References
-----------
 Březina 2010, sections 4.2.1, 4.2.3. The thesis gives the M of the inverse input form for the formula
 :math:`G_p^{-1} = G^{-1} (I + \Delta)`, which is the inverse output form; here each has its own M.
 Zhou, Doyle, Glover, *Robust and Optimal Control* (1996), table 9.1.

@@ -17,7 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robustlab.arrays import AnyArray, Array, ComplexArray, Mask
 from robustlab.budget import Budget
@@ -153,14 +153,6 @@ def acting(model: StateSpaceModel, blocks: Sequence[Block]) -> Mask:
     return np.block([[model.A != 0, B], [C, D]]) > 0
 
 
-def coupled_blocks(model: StateSpaceModel, blocks: Sequence[Block]) -> list[NDArray[np.intp]]:
-    """Return the groups of blocks that act on each other in a cycle; others have mu = 0."""
-    n, acts = model.n_states, acting(model, blocks)
-    labels = strong_components(acts)
-    groups = [np.flatnonzero(labels[n:] == label) for label in np.unique(labels[n:])]
-    return [g for g in groups if len(g) > 1 or acts[n + g[0], n + g[0]] or (labels[:n] == labels[n + g[0]]).any()]
-
-
 def model_frequency(dt: float, omega: float) -> float:
     """Frequency in rad/s of the model itself: ``w = 2 atan(omega) / dt`` where it was mapped."""
     return float(2 * np.arctan(omega) / dt) if dt else float(omega)
@@ -245,15 +237,9 @@ def next_points(intervals: Sequence[tuple[float, float]], scale: float, count: i
 
 
 def cover_axis(
-    model: StateSpaceModel,
-    blocks: Sequence[Block],
-    level: float,
-    *,
-    first: Array,
-    budget: Budget,
-    accuracy: float,
+    model: StateSpaceModel, blocks: Sequence[Block], level: float, *, first: Array, budget: Budget, accuracy: float,
     varying: Mask | None = None,
-) -> AxisCover:
+) -> AxisCover:  # fmt: skip
     """Prove a level on [0, inf] of a stable continuous model, within ``accuracy`` above its D-G peak."""
     # The level is mu; where inputs vary it is skewed mu: the size of their blocks is one over it, of the others one.
     cover, scale, step, idle = AxisCover(), typical_speed(model), accuracy, 0
@@ -305,8 +291,13 @@ def cover_parts(
     model: StateSpaceModel, blocks: Sequence[Block], beta: float, *, first: Array, budget: Budget, accuracy: float
 ) -> AxisCover:
     """Apply `cover_axis` to each strongly connected part of M11; mu of the whole is the largest of theirs."""
-    whole = AxisCover(open=[])
-    for members in coupled_blocks(model, blocks):
+    whole, n, acts = AxisCover(open=[]), model.n_states, acting(model, blocks)
+    labels = strong_components(acts)
+    for label in np.unique(labels[n:]):
+        members = np.flatnonzero(labels[n:] == label)
+        itself = n + members[0]
+        if len(members) == 1 and not acts[itself, itself] and label not in labels[:n]:
+            continue  # a block in no cycle: its mu is 0
         w, z = entries(blocks, members)
         part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
         some = [blocks[i] for i in members]

@@ -73,6 +73,9 @@ class AxisResult(Tabular, Bracket):
     system: UncertainModel | None = None
     boxes: tuple[tuple[Box, Piece], ...] = ()
 
+    unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
+    derived: ClassVar[tuple[str, ...]] = ("gap",)
+
     @property
     def gap(self) -> float:
         """``upper / lower - 1``; 0 where both are equal, inf where ``lower`` is 0."""
@@ -114,6 +117,8 @@ class Margin(AxisResult, StabilityMargin):
     def facts(self) -> Facts:
         peak = bracket(1 / self.upper, 1 / self.lower, ("attained", "proved")) if self.upper and self.lower else ""
         ranked = sorted(self.shares.items(), key=lambda pair: -abs(pair[1]))
+        first = next((pair for pair in ranked if pair[0] in self.physical or pair[0] != PERFORMANCE), None)
+        gain = f"{first[0]}: a range 1 % smaller raises the margin by {first[1]:.2g} %" if first else ""
         return [
             *([("the set as stated", self.headline())] if self.stable is False else []),
             (self.kind, bracket(self.lower, self.upper, ("proved", "attained"))),
@@ -121,17 +126,11 @@ class Margin(AxisResult, StabilityMargin):
             ("critical member", member(self.delta, self.physical) or "none found"),
             ("critical frequency", number(self.frequency, "rad/s")),
             ("shares of the blocks", listed(f"{name} {100 * share:.0f} %" for name, share in ranked)),
-            ("most sensitive to", self._first()),
+            ("most sensitive to", gain),
             self.size_of_proof(),
             ("a margin of 1", "is the set as stated; at 2 every range could be twice as wide"),
             *(("note", note) for note in self.notes),
         ]
-
-    def _first(self) -> str:
-        """Block with the largest share, and the gain in margin for each percent of its range."""
-        order = sorted(self.shares, key=lambda name: -abs(self.shares[name]))
-        first = next((name for name in order if name in self.physical or name != PERFORMANCE), None)
-        return f"{first}: a range 1 % smaller raises the margin by {self.shares[first]:.2g} %" if first else ""
 
     def details(self) -> list[Part]:
         header = ("block", "delta", "parameter", *(("share",) if self.shares else ()))
@@ -141,10 +140,6 @@ class Margin(AxisResult, StabilityMargin):
         """Both bounds of mu over the requested frequencies."""
         columns = {"mu_lower": self.mu_lower, "mu_upper": self.mu_upper}
         return Table(("omega", self.omega), columns, {"omega": "rad/s"})
-
-    def to_json(self) -> dict[str, Any]:
-        names = [name for name in vars(self) if name not in ("proof", "system", "boxes")]
-        return {"type": "Margin", **{name: getattr(self, name) for name in names}, "gap": self.gap}
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +177,6 @@ class WorstCaseGain(AxisResult, PeakGain):
     gain_upper: Array
 
     quantities: ClassVar[Mapping[str, Any]] = {**PeakGain.quantities, "frequency": "rad/s", "nominal": float}
-    unsaved: ClassVar[tuple[str, ...]] = ("proof", "system", "boxes")
-    derived: ClassVar[tuple[str, ...]] = ("gap",)
 
     def evidence(self) -> Facts:
         """The worst member, and the size of the proof."""
@@ -274,15 +267,9 @@ def replay(uncertain: UncertainModel, margin: Margin, periods: int = 12, points:
     if not first > 1e-12 * float(np.abs(x0).max()):
         raise NoTrustworthyNumber("replay", "the critical mode does not show at any output")
     x0 = x0 / first
-    return CriticalResponse(
-        t=t,
-        outputs=uncertain.outputs,
-        nominal=_free(nominal, x0[: uncertain.M.n_states], t),
-        inside=_free(member(INSIDE), x0, t),
-        critical=response / first,
-        growth=float(np.abs(response[t >= t[-1] - period]).max() / first),
-        period=float(period),
-    )
+    growth = float(np.abs(response[t >= t[-1] - period]).max() / first)
+    free, inside = _free(nominal, x0[: uncertain.M.n_states], t), _free(member(INSIDE), x0, t)
+    return CriticalResponse(t, uncertain.outputs, free, inside, response / first, growth, float(period))
 
 
 def _free(model: StateSpaceModel, x0: Array, t: Array) -> Array:

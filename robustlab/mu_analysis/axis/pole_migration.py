@@ -93,12 +93,6 @@ def _closed(model: StateSpaceModel, delta: ComplexArray) -> tuple[NDArray[Any], 
     return model.A + model.B @ d @ (inverse @ model.C), inverse
 
 
-def _eigen(a: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return eigenvalues and right eigenvectors."""
-    values, right = np.linalg.eig(a)
-    return values, right
-
-
 # --- crossings -------------------------------------------------------------------------------------------------------
 
 
@@ -192,7 +186,7 @@ def _loop_eigenvalue(model: StateSpaceModel, delta: ComplexArray, omega: float) 
     loop = response @ delta
     if not np.isfinite(loop).all():
         return None
-    values, right = _eigen(loop)
+    values, right = np.linalg.eig(loop)
     k = int(np.abs(values - 1).argmin())
     left = np.linalg.inv(right + 1e-13 * np.eye(len(loop)))[k]
     return complex(values[k]), complex(-1j * (left @ out @ (states @ right[:, k])))
@@ -340,7 +334,7 @@ def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray)
     a, loop_inverse = _closed(model, deltas)
     if not np.isfinite(a).all():
         raise np.linalg.LinAlgError("ill-posed")
-    values, right = _eigen(a)
+    values, right = np.linalg.eig(a)
     k = np.abs(values - aims[:, None]).argmin(axis=1)
     index = np.arange(len(deltas))
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.

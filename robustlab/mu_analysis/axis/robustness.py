@@ -118,17 +118,12 @@ class _Search:
     boxes: list[tuple[Box, Piece]] = field(default_factory=list)
     hot: float | None = None  # where branch and bound begins
 
-    # Proves a level by constant D, G; takes a member that branch and bound has found.
+    # Proves a level by constant D, G; takes a member that branch and bound has found; returns the set of a level on
+    # the whole axis; searches for a worse member in a region.
     over_the_axis: ClassVar[Callable[..., None]]
     take_member: ClassVar[Callable[..., None]]
-
-    def root(self, level: float) -> Region:
-        """Return the set of a level on the whole axis."""
-        raise NotImplementedError
-
-    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
-        """Search for a worse member in a region."""
-        raise NotImplementedError
+    root: ClassVar[Callable[..., Region]]
+    attack: ClassVar[Callable[..., Improved | None]]
 
     def better_member(self, budget: Budget) -> Improved | None:
         """Search for a worse member by another method, if there is one."""
@@ -234,10 +229,7 @@ def robust_stability(
     *,
     budget: Budget | None = None,
 ) -> Margin:
-    r"""Robust stability margin :math:`1 / \sup_\omega \mu(M_{11}(j \omega))` over the whole axis.
-
-    ``budget``: that of a larger search, in the place of an effort and a time limit.
-    """
+    """`robustlab.robust_stability` of a set; ``budget``: of a larger search, instead of an effort and a time limit."""
     compile_kernels()
     budget = budget or search_budget("robust_stability", WORK, effort, time_limit)
     check_nominal(uncertain, "robust_stability")
@@ -440,18 +432,11 @@ class _Stability(_Search):
             if uncertain.M.is_discrete:
                 pole = -1.0 + 0j if end else (1 + pole) / (1 - pole)
         gaps = f"{len(unproved)} frequency intervals not proved: mu_upper holds on the grid only" if unproved else ""
+        status = Status.TIMEOUT if self.budget.struck else Status.INCONCLUSIVE if unproved else Status.CERTIFIED
         return Margin(
-            lower=min(lower, upper),
-            upper=upper,
-            frequency=frequency,
-            status=Status.TIMEOUT if self.budget.struck else Status.INCONCLUSIVE if unproved else Status.CERTIFIED,
-            pole=pole,
-            omega=grid,
-            mu_lower=mu_lower,
-            mu_upper=mu_upper,
-            shares=self._shares(),
-            **self.fields(delta, [note, gaps]),
-        )
+            lower=min(lower, upper), upper=upper, frequency=frequency, status=status, pole=pole, omega=grid,
+            mu_lower=mu_lower, mu_upper=mu_upper, shares=self._shares(), **self.fields(delta, [note, gaps]),
+        )  # fmt: skip
 
     def _shares(self) -> dict[str, float]:
         """Return the share of each block in the margin, summing to one; empty where the margin has no derivative."""
@@ -482,7 +467,8 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
 
     It is the stability margin of the set with a full performance block between the outputs and the inputs, called
     ``"performance"``: :math:`1 / \sup_\omega \mu_{\Delta, P}(M(j \omega))`. Above 1, every member of the set has a gain
-    below 1.
+    below 1 (main loop theorem: Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty",
+    1982).
 
     Parameters
     ----------
@@ -502,10 +488,6 @@ def robust_performance(uncertain: UncertainModel, **options: Any) -> Margin:
         No inputs or no outputs, or a block that is called ``"performance"`` already.
     NoTrustworthyNumber
         The nominal model is unstable.
-
-    References
-    ----------
-    Doyle, Wall, Stein, "Performance and robustness analysis for structured uncertainty" (1982), main loop theorem.
     """
     return PerformanceMargin(**vars(robust_stability(with_performance(uncertain), **options)))
 
@@ -688,15 +670,9 @@ class _Gain(_Search):
             response, rng = frequency_response(uncertain.M, grid), np.random.default_rng(self.seed)
             low, high, _ = gain_curves(response, self.blocks, rng, 4, 1e-3)
             high = np.maximum(high, low)
+        status = Status.TIMEOUT if self.budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE
+        last = "" if proved else "no upper bound: the set was not proved stable"
         return WorstCaseGain(
-            lower=self.attained,
-            upper=self.level,
-            frequency=self.frequency,
-            status=Status.TIMEOUT if self.budget.struck else Status.CERTIFIED if proved else Status.INCONCLUSIVE,
-            nominal=nominal,
-            omega=grid,
-            nominal_gain=curve,
-            gain_lower=low,
-            gain_upper=high,
-            **self.fields(self.delta, notes, "" if proved else "no upper bound: the set was not proved stable"),
-        )
+            lower=self.attained, upper=self.level, frequency=self.frequency, status=status, nominal=nominal, omega=grid,
+            nominal_gain=curve, gain_lower=low, gain_upper=high, **self.fields(self.delta, notes, last),
+        )  # fmt: skip

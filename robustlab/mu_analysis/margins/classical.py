@@ -27,7 +27,7 @@ from robustlab.linear_analysis.zeros import (
     wired,
 )
 from robustlab.mu_analysis.margins.disk_margin import AT, Place, in_decibels, in_degrees, opened_at
-from robustlab.result import Status
+from robustlab.result import Status, Typed
 from robustlab.statespace import StateSpaceModel, as_model
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class PhaseCrossing(AllFields, Displayable):
 
 
 @dataclass(frozen=True, eq=False)
-class ClassicalMargin(Displayable):
+class ClassicalMargin(Typed, Displayable):
     """Margins of one loop, the others closed; None of an unstable one.
 
     CONVERGED: all crossings, to the last digits; of loops with delays those found on a grid.
@@ -105,12 +105,9 @@ class ClassicalMargin(Displayable):
         delay = min((*(c.delay for c in gain), late))
         return cls(True, (low, high), lag, delay, tuple(gain), tuple(phase), Status.CONVERGED)
 
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "ClassicalMargin", **vars(self)}
-
 
 @dataclass(frozen=True, eq=False)
-class ClassicalMargins(Displayable):
+class ClassicalMargins(Typed, Displayable):
     """Margins of each loop, one at a time, and where the loops were opened."""
 
     channels: Mapping[str, ClassicalMargin]  # by the name of the plant's signal
@@ -176,9 +173,6 @@ class ClassicalMargins(Displayable):
             for c in margin.phase_crossings:
                 rows.append((name, number(c.frequency, "rad/s", 6), "L < 0", f"factor {number(c.factor)} to -1"))
         return [Part("crossings:", ("loop", "at", "where", "distance"), rows)]
-
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "ClassicalMargins", **vars(self)}
 
 
 @error_context("classical_margins")

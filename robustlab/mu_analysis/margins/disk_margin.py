@@ -240,14 +240,9 @@ def disk_channels(loop: Opened, skew: float) -> Any:
 
 
 def with_factors(
-    bounds: tuple[float, float],
-    frequency: float | None,
-    status: Status,
-    system: Any,
-    delta: Mapping[str, complex],
-    skew: float,
-    proof: Any = None,
-) -> DiskMargin:
+    bounds: tuple[float, float], frequency: float | None, status: Status, system: Any, delta: Mapping[str, complex],
+    skew: float, proof: Any = None,
+) -> DiskMargin:  # fmt: skip
     """Return a margin with its critical factors."""
     half = 0.5 * (1.0 + skew)
     factor = {n: 1.0 + d / (1.0 - half * d) if abs(1 - half * d) > 1e-12 else complex(np.inf) for n, d in delta.items()}

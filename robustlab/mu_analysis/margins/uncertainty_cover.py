@@ -17,7 +17,7 @@ from robustlab.display import Displayable, Facts, Part, number
 from robustlab.errors import InputError, NoTrustworthyNumber, did_you_mean, error_context, is_function
 from robustlab.mu_analysis.axis.robustness import worst_case_gain
 from robustlab.norms import hinf_norm
-from robustlab.result import Status
+from robustlab.result import Status, Typed
 from robustlab.statespace import StateSpaceModel, as_model
 from robustlab.uncertainty import covers
 from robustlab.uncertainty.elementwise import misses
@@ -31,7 +31,7 @@ Loop = Callable[[UncertainModel], UncertainModel]
 
 
 @dataclass(frozen=True)
-class Conservatism(Displayable):
+class Conservatism(Typed, Displayable):
     """Ratio of the worst gain of a cover to that of its models."""
 
     ratio: float  # cover_upper / set_gain: proved not to be more
@@ -42,9 +42,6 @@ class Conservatism(Displayable):
     cover_upper: float
     status: Status  # of the worst gain; FAILED where there is none
     reason: str = ""  # why there is none, or for an early end of its proof
-
-    def to_json(self) -> dict[str, Any]:
-        return {"type": "Conservatism", **vars(self)}
 
 
 @dataclass(frozen=True, eq=False)

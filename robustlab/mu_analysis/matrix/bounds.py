@@ -97,9 +97,10 @@ def mu(
     and 0 where no Delta makes the determinant vanish.
 
     The upper bound is that of the D-G scalings, certified with its rounding errors; the lower one is attained by an
-    explicit Delta. With ``tolerance`` branch and bound over the real parameters closes the gap.
+    explicit Delta (Doyle 1982; Fan, Tits, Doyle, IEEE TAC 36, 1991; Young, Doyle 1990). With ``tolerance`` branch and
+    bound over the real parameters closes the gap.
 
-    With ``fixed`` these blocks keep size one, and the smallest size of the others is computed:
+    With ``fixed`` these blocks keep size one, and the smallest size of the others is computed (Fan, Tits 1992):
 
     .. math:: \nu(M) = 1 / \min \{ \|\Delta_v\| : \|\Delta_f\| \le 1, \; \det(I - M \, diag(\Delta_f, \Delta_v)) = 0 \}
 
@@ -135,10 +136,6 @@ def mu(
         not fill [-1, 1] times one number; unknown names in ``fixed``, or all blocks.
     NoTrustworthyNumber
         A lower bound above the upper one.
-
-    References
-    ----------
-    Doyle (1982); Fan, Tits, Doyle, IEEE TAC 36 (1991); Young, Doyle (1990). Skewed: Fan, Tits (1992); Ferreres (1999).
 
     Examples
     --------

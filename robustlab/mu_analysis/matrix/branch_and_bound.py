@@ -179,12 +179,10 @@ Search = Callable[[Budget], Improved | None]
 def tighten(
     problem: Problem, lower: float, upper: float, tolerance: float, budget: Budget, search: Search | None = None
 ) -> Proof:
-    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows.
-
-    ``search`` is a longer one for a larger lower bound, for which most gaps close too early.
-    """
-    # That level is tried first. If a larger lower bound is found, or the work does not suffice, the open regions are
-    # reduced to the smaller set of a larger level, for which all proofs so far hold.
+    """Bring ``upper`` down to ``lower (1 + tolerance)``, or as far as the budget allows."""
+    # ``search`` is a longer one for a larger lower bound. The level ``lower (1 + tolerance)`` is tried first. If a
+    # larger lower bound is found, or the work does not suffice, the open regions are reduced to the smaller set of a
+    # larger level, for which all proofs so far hold.
     proof, last = Proof(lower, upper, search=search), 0.0
     proof.search_at = (1 - SEARCHED) * budget.left
     while proof.upper > proof.lower * (1 + tolerance) * (1 + 1e-12) and not budget.over:
