@@ -1,7 +1,4 @@
-r"""State-space models of linear descriptor forms, algebraic equations eliminated.
-
-.. math:: E \dot x = A x + B u, \qquad y = C x + D u
-"""
+"""State-space models of linear descriptor forms E x' = A x + B u, y = C x + D u, algebraic equations eliminated."""
 # Dai, *Singular Control Systems* (1989), chapter 1.
 
 from __future__ import annotations
@@ -113,11 +110,7 @@ def descriptor(
 def eliminated(
     given: StateSpaceModel, E: ArrayLike, where: str = "descriptor"
 ) -> tuple[StateSpaceModel, list[int] | None, float]:
-    """Eliminate the algebraic equations of a model with a descriptor matrix E.
-
-    Next to the model: the given states that remain, None where its states are combinations of them; the largest
-    relative difference of the two transfer matrices at nine points off the stability boundary.
-    """
+    """Return the model, the remaining states (None for combinations), and the relative error of its response."""
     e, n = real_array("E", E, 2, where), given.n_states
     if e.shape != (n, n):
         raise InputError(where, f"E is {e.shape}", f"{(n, n)} as A")

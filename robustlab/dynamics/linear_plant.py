@@ -1,7 +1,4 @@
-r"""Linear plants in descriptor form, and their exact parametric uncertainty.
-
-.. math:: E(p)\,\dot x = F(p)\,x + G(p)\,u, \qquad y = C(p)\,x + D(p)\,u
-"""
+"""Linear plants in descriptor form, E(p) x' = F(p) x + G(p) u, and their exact parametric uncertainty."""
 
 from __future__ import annotations
 

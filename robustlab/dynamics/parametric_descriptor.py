@@ -180,10 +180,7 @@ class _Family:
 
 
 def _with_row_factors(family: _Family, free: Sequence[int]) -> tuple[_Family, dict[str, Array | None]]:
-    """Return the family with the row factors of lowest complexity, and N along each parameter (nodes, rows, columns).
-
-    A scan is None if the plant has no linear model over the parameter's reach.
-    """
+    """Return the family with its simplest row factors, and N along each parameter (None without a linear model)."""
     base = {n: 0.62 * r.nominal + 0.38 * family.reach(n)[1] for n, r in zip(family.names, family.ranges, strict=True)}
     try:
         family.raw(base)

@@ -1,7 +1,4 @@
-r"""Base classes of plants: named parameters and signals, equations of motion, sampled inputs.
-
-.. math:: \dot x = f(x, u), \qquad y = h(x, u)
-"""
+"""Base classes of plants x' = f(x, u), y = h(x, u): named parameters and signals, sampled inputs."""
 
 from __future__ import annotations
 
@@ -77,20 +74,11 @@ def input_signal(t: Array, samples: Array, hold: NonlinearHold) -> InputSignal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plant(Displayable, Traced, ABC):
-    """Base class of `robustlab.dynamics.linear_plant.LinearPlant` and `NonlinearPlant`.
+    """Base class of `robustlab.dynamics.linear_plant.LinearPlant` and `NonlinearPlant`."""
 
-    Attributes
-    ----------
-    name
-        Name in the registry, for example ``"dc-motor"``.
-    parameters
-        Name -> parameter.
-    inputs, outputs, states
-        Named signals with units; their order is the order of u, y and x.
-    """
-
-    name: str
-    parameters: Mapping[str, Parameter]
+    name: str  # in the registry, for example ``"dc-motor"``
+    parameters: Mapping[str, Parameter]  # name -> parameter
+    # in the order of u, y and x
     inputs: tuple[Signal, ...]
     outputs: tuple[Signal, ...]
     states: tuple[Signal, ...]
@@ -147,29 +135,16 @@ class Plant(Displayable, Traced, ABC):
 
 @dataclass(frozen=True, eq=False)
 class Trim(Displayable, AllFields):
-    """An equilibrium of a plant: ``f(x, u) = 0``.
+    """An equilibrium of a plant: ``f(x, u) = 0``."""
 
-    Attributes
-    ----------
-    plant
-        Name of the plant.
-    x, u, y
-        States, inputs and outputs in the plant's order and units.
-    residual
-        Largest ``|f(x, u)|`` there.
-    pose
-        Pose (tx, ty, tz, ax, ay, az) of a platform; None for other plants.
-    status
-        CONVERGED: the residual was evaluated after the solution and is at rounding. INACCURATE: it is not.
-    """
-
-    plant: str
+    plant: str  # name of the plant
+    # states, inputs and outputs in the plant's order and units
     x: Array
     u: Array
     y: Array
-    residual: float
-    pose: Array | None = None
-    status: Status = Status.CONVERGED
+    residual: float  # largest ``|f(x, u)|`` there
+    pose: Array | None = None  # (tx, ty, tz, ax, ay, az) of a platform; None for other plants
+    status: Status = Status.CONVERGED  # CONVERGED: the residual is at rounding; INACCURATE: it is not
 
     def __post_init__(self) -> None:
         for array in (self.x, self.u, self.y, self.pose):

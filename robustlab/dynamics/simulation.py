@@ -187,8 +187,7 @@ def _simulate_nonlinear(
             expected = "'zoh': its steps hold the input"
             raise InputError("simulate: hold", f"{hold!r} for a plant that steps itself", expected)
         if rtol is not None:
-            expected = "step: its steps have no error control"
-            raise InputError("simulate", "rtol for a plant that steps itself", expected)
+            raise InputError("simulate", "rtol for a plant that steps itself", "step: its steps have no error control")
         force = samples
         x, y = plant.stepped(clock, force, start, step)
     else:

@@ -224,6 +224,7 @@ class _DriverInLoop(InputDeadZone):
     force = driver_force
 
     def __init__(self, port: Port) -> None:
+        super().__init__("input-dead-zone")
         self.port = port
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
@@ -252,5 +253,4 @@ def driver_in_loop(loop: LinearPlant, plant: LinearPlant, control: str, values: 
     force[: len(plant.states)] = plant.state_space().B[:, k]
     unit = plant.inputs[k].unit
     port = Port(f"driver {control}", "joint", unit, unit, "", force, closed.C[row].copy(), None)
-    effect = _DriverInLoop(port)
-    return AttachedEffect(effect, Site("joint", port.name), dict(values), source="as given")
+    return AttachedEffect(_DriverInLoop(port), Site("joint", port.name), dict(values), source="as given")

@@ -171,10 +171,7 @@ def _prior(size: float, kind: Any, centre: float, spread: float) -> Prior:
 
 
 class Effect:
-    """One physical effect, with all data for identification, fits, uncertain models and experiments.
-
-    Effects of the catalogue have their texts and parameters in `effects.toml`.
-    """
+    """One physical effect; those of the catalogue have their texts and parameters in `effects.toml`."""
 
     id: str  # name in the catalogue
     title: str
@@ -219,13 +216,17 @@ class Effect:
     rows: Mapping[str, tuple[Any, ...]] = {}
     started: Mapping[str, tuple[float, ...]] = {}
 
-    def __init_subclass__(cls, row: str = "") -> None:
-        """Register an effect of the catalogue; ``row``: its id."""
-        if row:
-            cls.id = row
-            for name, value in TABLE[row].items():
-                setattr(cls, name, tuple(value) if isinstance(value, list) else value)
-            OWN[row] = cls()
+    def __init_subclass__(cls, ids: str = "") -> None:
+        """Register effects of the catalogue with these ids."""
+        for name in ids.split():
+            OWN[name] = cls(name)
+
+    def __init__(self, name: str = "") -> None:
+        """Set the attributes of an effect of the catalogue."""
+        if name:
+            self.id = name
+            for attribute, value in TABLE[name].items():
+                setattr(self, attribute, tuple(value) if isinstance(value, list) else value)
 
     def parameters(self, scales: Scales) -> tuple[EffectParameter, ...]:
         """Return the parameters with priors at these magnitudes."""

@@ -83,7 +83,7 @@ def load_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -p[0]
 
 
-class ConstantLoad(Effect, row="constant-load"):
+class ConstantLoad(Effect, ids="constant-load"):
     """Constant load: gravity along the axis, a preload, or an offset."""
 
     force = load_force
@@ -122,7 +122,7 @@ def cogging_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class Cogging(WaveEffect, row="cogging"):
+class Cogging(WaveEffect, ids="cogging"):
     """Cogging, torque ripple: a force periodic in the position, equal in both directions."""
 
     force = cogging_force
@@ -133,7 +133,7 @@ class Cogging(WaveEffect, row="cogging"):
         return Footprint(site.name, "position", -values["k"] * size, values["k"] * size, offset=size)
 
 
-class PendulumGravity(Effect, row="pendulum-gravity"):
+class PendulumGravity(Effect, ids="pendulum-gravity"):
     """Gravity of a pendulum: an eccentric weight at a rotary joint."""
 
     force = cogging_force
@@ -164,7 +164,7 @@ def ripple_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 FEWEST_TURNS = 2.0  # periods of a ripple within the record
 
 
-class TorqueRipple(Effect, row="torque-ripple"):
+class TorqueRipple(Effect, ids="torque-ripple"):
     """Force ripple over time: mains, a beat of two clocks, another unbalanced machine."""
 
     force = ripple_force
@@ -205,8 +205,8 @@ def dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], 0.0, 1.0)
 
 
-class DryEffect(Effect):
-    """A force against the motion, or a voltage against the current, that holds at rest."""
+class DryEffect(Effect, ids="coulomb-friction brush-drop"):
+    """A force against the motion, or a voltage of brushes against the current, that holds at rest."""
 
     force = dry_force
 
@@ -223,10 +223,6 @@ class DryEffect(Effect):
         return Footprint(site.name, signal, 0.0, gain, offset=most, describing=gain)
 
 
-class CoulombFriction(DryEffect, row="coulomb-friction"):
-    """Dry friction: a force of constant size against the motion that holds the joint at rest."""
-
-
 ROUNDING = 1e-13
 
 
@@ -239,7 +235,7 @@ def uneven_dry_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return sticks if abs(force - sticks) <= ROUNDING * level else force  # exactly at rest despite rounding of the load
 
 
-class AsymmetricCoulombFriction(DryEffect, row="asymmetric-coulomb-friction"):
+class AsymmetricCoulombFriction(DryEffect, ids="asymmetric-coulomb-friction"):
     """Dry friction whose level differs between the directions."""
 
     force = uneven_dry_force
@@ -257,7 +253,7 @@ def stribeck_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], p[0], p[1], p[2])
 
 
-class StribeckFriction(DryEffect, row="stribeck-friction"):
+class StribeckFriction(DryEffect, ids="stribeck-friction"):
     """Stribeck friction: dry friction whose level decreases with the speed, from breakaway to sliding."""
 
     # Armstrong-Helouvry, Dupont, Canudas de Wit, *A survey of models, analysis tools and compensation methods for the
@@ -324,7 +320,7 @@ def presliding_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return force
 
 
-class Presliding(Effect, row="presliding"):
+class Presliding(Effect, ids="presliding"):
     """Presliding: dry friction whose contact deflects like a spring before it slides."""
 
     # Dahl, *A solid friction model* (1968); Canudas de Wit, Olsson, Astrom, Lischinsky, *A new model for control of
@@ -379,7 +375,7 @@ def uneven_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return _level_force(b[0], args)
 
 
-class PositionDependentFriction(WaveEffect, row="position-dependent-friction"):
+class PositionDependentFriction(WaveEffect, ids="position-dependent-friction"):
     """Dry friction whose level is periodic in the position: a bent shaft, an uneven screw or gear."""
 
     force = uneven_force
@@ -397,7 +393,7 @@ def loss_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return dry_mean_force(seen[V0], seen[V], seen[GV], level, 0.0, 1.0)
 
 
-class GearEfficiency(Effect, row="gear-efficiency"):
+class GearEfficiency(Effect, ids="gear-efficiency"):
     """Gear losses: dry friction proportional to the driving force of the joint."""
 
     force = loss_force
@@ -424,7 +420,7 @@ def directional_loss(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return ((1.0 - share) * (1.0 - driven) * drive - seen[V]) / seen[GV]
 
 
-class LoadDependentFriction(Effect, row="load-dependent-friction"):
+class LoadDependentFriction(Effect, ids="load-dependent-friction"):
     """Friction proportional to the load of a gear, with different shares while driving and braking."""
 
     # Duclusaud, Passault, Padois, Ly, *Extended Friction Models for the Physics Simulation of Servo Actuators*, arXiv
@@ -461,7 +457,7 @@ def asymmetric_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -last / (linear + math.sqrt(inside))
 
 
-class AsymmetricViscousFriction(Effect, row="asymmetric-viscous-friction"):
+class AsymmetricViscousFriction(Effect, ids="asymmetric-viscous-friction"):
     """Viscous friction that differs between the directions, antisymmetric about the plant's own."""
 
     force = asymmetric_force
@@ -480,7 +476,7 @@ def drag_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return -p[0] * v * abs(v)
 
 
-class QuadraticDrag(Effect, row="quadratic-drag"):
+class QuadraticDrag(Effect, ids="quadratic-drag"):
     """Quadratic drag: fans, fluids, windage."""
 
     force = drag_force
@@ -488,10 +484,6 @@ class QuadraticDrag(Effect, row="quadratic-drag"):
     def footprint(self, site: Site, values: Mapping[str, float], amplitude: float) -> Footprint:
         # Sector of c v |v| over |v| <= a; its describing function is 8 c a / (3 pi), inside.
         return Footprint(site.name, "speed", 0.0, values["c"] * amplitude)
-
-
-class BrushDrop(DryEffect, row="brush-drop"):
-    """Voltage drop of brushes: a constant voltage against the current."""
 
 
 @law
@@ -508,7 +500,7 @@ def heating_drop(p, z, z_next, seen):  # type: ignore[no-untyped-def]
 QUICKEST = 0.5  # s: shortest thermal time constant of a winding
 
 
-class ResistanceHeating(Effect, row="resistance-heating"):
+class ResistanceHeating(Effect, ids="resistance-heating"):
     """Heating of a winding: a resistance that increases with the dissipated heat."""
 
     force = heating_drop

@@ -1,8 +1,4 @@
-r"""Wrong parameters of the plant, and effects on its inputs and outputs: gains, delays, limits, sensor errors.
-
-.. math::
-    p' = s\,p \quad\text{for all parameters p of the group of one physical quantity}
-"""
+"""Wrong parameters of the plant (p' = s p), and effects on its inputs and outputs: gains, delays, limits, errors."""
 
 from __future__ import annotations
 
@@ -22,7 +18,7 @@ from robustlab.dynamics.ports.port_model import AnyPlant, Port, PortModel, param
 from robustlab.errors import InputError
 
 
-class ParameterEffect(Effect):
+class ParameterEffect(Effect, ids="inertia"):
     """Factor of every parameter of a group (`robustlab.dynamics.ports.port_model.parameter_groups`)."""
 
     site_kind = "parameter"
@@ -56,10 +52,8 @@ def has_ground_term(plant: AnyPlant, port: Port, role: str, rows: tuple[Port, ..
     return False
 
 
-class MotorEffect(ParameterEffect):
-    r"""A wrong parameter of all motors, or of one motor: there it scales the terms of its current,
-    :math:`\Delta \dot x = (s - 1)\, T x`, with T the terms of the parameter.
-    """
+class MotorEffect(ParameterEffect, ids="resistance torque-constant"):
+    """A wrong parameter of all motors, or of one: it scales the terms of the motor's current."""
 
     couples: bool  # whether it is in the terms that couple the current with other states, else in that of the current
 
@@ -79,7 +73,7 @@ class MotorEffect(ParameterEffect):
         return replace(model, A=a)
 
 
-class MisplacedEffect(ParameterEffect):
+class MisplacedEffect(ParameterEffect, ids="centre-of-mass gravity-direction"):
     """Wrong coordinates: each is shifted, zero or not."""
 
     gain_like = False
@@ -96,7 +90,7 @@ class MisplacedEffect(ParameterEffect):
         return {p.name: (p.value + values[n]) / p.reference for p, n in zip(own, self.rows, strict=True)}
 
 
-class GroundedEffect(ParameterEffect):
+class GroundedEffect(ParameterEffect, ids="stiffness viscous-friction"):
     """A wrong parameter, or at a joint without the term a force to ground, linear in position or velocity."""
 
     at_joint: Mapping[str, tuple[Any, ...]]  # row of the coefficient at a joint
@@ -138,46 +132,10 @@ class GroundedEffect(ParameterEffect):
         return list(self.at_joint) if self.symbol in values else super().names_of(values)
 
 
-class Inertia(ParameterEffect, row="inertia"):
-    """Wrong inertia: the true value is a multiple of the nominal one."""
-
-
-class CentreOfMass(MisplacedEffect, row="centre-of-mass"):
-    """Wrong centre of mass."""
-
-
-class GravityDirection(MisplacedEffect, row="gravity-direction"):
-    """Tilted base: wrong direction of gravity."""
-
-
-class Resistance(MotorEffect, row="resistance"):
-    """Wrong resistance: the true value is a multiple of the nominal one."""
-
-    couples = False
-
-
-class TorqueConstant(MotorEffect, row="torque-constant"):
-    """Wrong torque constant: the true value is a multiple of the nominal one."""
-
-    couples = True
-
-
-class Stiffness(GroundedEffect, row="stiffness"):
-    """Wrong stiffness, or a spring to ground at a joint without one."""
-
-    of = "position"
-
-
-class ViscousFriction(GroundedEffect, row="viscous-friction"):
-    """Wrong viscous friction, or friction at a joint without it."""
-
-    of = "velocity"
-
-
 # --- inputs and outputs -----------------------------------------------------------------------------------------------
 
 
-class SignalGain(Effect):
+class SignalGain(Effect, ids="input-gain sensor-gain"):
     """The signal times s."""
 
     gain_like = True
@@ -192,8 +150,8 @@ class SignalGain(Effect):
         return Footprint(site.name, self.site_kind, values["s"], values["s"])
 
 
-class SignalDelay(Effect):
-    """The signal delayed by d seconds."""
+class SignalDelay(Effect, ids="input-delay"):
+    """The signal delayed by d seconds; `Simulator` shifts the samples of an input."""
 
     delay = "d"
 
@@ -201,15 +159,7 @@ class SignalDelay(Effect):
         return Footprint(site.name, self.site_kind, 1.0, 1.0, delay=values["d"])
 
 
-class InputGain(SignalGain, row="input-gain"):
-    """Input gain: a multiple of the commanded input acts."""
-
-
-class InputDelay(SignalDelay, row="input-delay"):
-    """Input delay: the input acts d seconds late, by `Simulator`, which shifts the samples."""
-
-
-class InputDeadZone(Effect, row="input-dead-zone"):
+class InputDeadZone(Effect, ids="input-dead-zone"):
     """Dead zone of the driver: a constant voltage drop."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -222,7 +172,7 @@ class InputDeadZone(Effect, row="input-dead-zone"):
         return Footprint(site.name, "input", 0.0, max(0.0, 1.0 - values["d"] / amplitude))
 
 
-class InputSaturation(Effect, row="input-saturation"):
+class InputSaturation(Effect, ids="input-saturation"):
     """Symmetric saturation of the input."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -243,7 +193,7 @@ def _lagged_means(u, step):  # type: ignore[no-untyped-def]
     return means
 
 
-class ActuatorLag(Effect, row="actuator-lag"):
+class ActuatorLag(Effect, ids="actuator-lag"):
     """First-order lag of the actuator."""
 
     def input(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -256,11 +206,7 @@ class ActuatorLag(Effect, row="actuator-lag"):
         return Footprint(site.name, "input", 1.0, 1.0)
 
 
-class SensorGain(SignalGain, row="sensor-gain"):
-    """Sensor gain: a wrong scale factor, gear ratio or calibration."""
-
-
-class SensorBias(Effect, row="sensor-bias"):
+class SensorBias(Effect, ids="sensor-bias"):
     """Sensor bias: a constant offset of the reading."""
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
@@ -289,7 +235,7 @@ class SensorBias(Effect, row="sensor-bias"):
         return Footprint(site.name, "output", 1.0, 1.0, offset=abs(values["b"]))
 
 
-class SensorDelay(SignalDelay, row="sensor-delay"):
+class SensorDelay(SignalDelay, ids="sensor-delay"):
     """Sensor delay: the reading is d seconds late, or its clock lags behind that of the input."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -312,7 +258,7 @@ class SensorDelay(SignalDelay, row="sensor-delay"):
 POSITION_UNITS = ("rad", "m")
 
 
-class SensorEccentricity(Effect, row="sensor-eccentricity"):
+class SensorEccentricity(Effect, ids="sensor-eccentricity"):
     """Eccentric or tilted encoder: an error with one period per turn."""
 
     def sites(self, plant: AnyPlant, model: PortModel) -> tuple[Site, ...]:
@@ -340,7 +286,7 @@ class SensorEccentricity(Effect, row="sensor-eccentricity"):
         return Footprint(site.name, "output", 1.0, 1.0, offset=math.hypot(values["c"], values["s"]))
 
 
-class MagnitudeSensor(Effect, row="magnitude-sensor"):
+class MagnitudeSensor(Effect, ids="magnitude-sensor"):
     """A sensor that shows the magnitude of its signal."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:
@@ -350,7 +296,7 @@ class MagnitudeSensor(Effect, row="magnitude-sensor"):
         return Footprint(site.name, "output", -1.0, 1.0, offset=abs(values["c"]))
 
 
-class Quantisation(Effect, row="quantisation"):
+class Quantisation(Effect, ids="quantisation"):
     """Quantisation of the reading."""
 
     def output(self, signal: Array, values: Mapping[str, float], h: float) -> Array:

@@ -24,11 +24,8 @@ def _cubic_residual(force, args):  # type: ignore[no-untyped-def]
 
 @law
 def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
-    """Return the force for p = (k_3,).
-
-    If hardening, the residual's slope is at least one: the root is bounded by -residual(0), and by the force that moves
-    the mass to the mirror image of its start, where the work is zero.
-    """
+    """Return the force for p = (k_3,)."""
+    # Hardening: the root lies below -residual(0), and below the force to the mirror image of the start (zero work).
     args = (seen[Q0], seen[Q], seen[GQ], p[0])
     bound = -_cubic_residual(0.0, args)
     if p[0] < 0.0:
@@ -43,7 +40,7 @@ def cubic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class CubicStiffness(Effect, row="cubic-stiffness"):
+class CubicStiffness(Effect, ids="cubic-stiffness"):
     """Cubic stiffness: a spring that hardens (or softens) away from the position's zero."""
 
     # Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Science 6 (1996).
@@ -98,7 +95,7 @@ def stop_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return _push(p[0] - seen[Q0], p[0] - seen[Q], -seen[V], seen[GQ], seen[GV], h, p[2], p[3])
 
 
-class EndStop(Effect, row="end-stop"):
+class EndStop(Effect, ids="end-stop"):
     """End stops: damped springs beyond the limits of the travel, compression only."""
 
     force = stop_force
@@ -151,7 +148,7 @@ def contact_starts(scales: Scales) -> list[tuple[float, float, float]]:
     return [(depth * (upper - lower), k * stiffness, math.sqrt(k) * damping) for depth, k in shares]
 
 
-class OneSidedSpring(Effect, row="one-sided-spring"):
+class OneSidedSpring(Effect, ids="one-sided-spring"):
     """A damped spring beyond one position: a stop on one side, free play before a spring."""
 
     force = stop_force
@@ -246,7 +243,7 @@ def hysteretic_force(p, z, z_next, seen):  # type: ignore[no-untyped-def]
     return b[0]
 
 
-class BoucWen(Effect, row="bouc-wen"):
+class BoucWen(Effect, ids="bouc-wen"):
     """Hysteretic spring: a rate-independent force that lags behind the displacement and yields (Bouc, Wen)."""
 
     # Wen, *Method for random vibration of hysteretic systems*, J. Engineering Mechanics 102 (1976); Ikhouane, Rodellar,
@@ -334,7 +331,7 @@ def flank_frequency(share: float) -> float:
     return FLANK * math.sqrt(SHARE * (1.0 - SHARE) / (share * (1.0 - share)))
 
 
-class Backlash(Effect, row="backlash"):
+class Backlash(Effect, ids="backlash"):
     """Backlash: contact force at the flanks of the gap between drive and load, compression only."""
 
     # Nordin, Galic, Gutman, New models for backlash and gear play, Int. J. Adaptive Control and Signal Processing 11
@@ -368,7 +365,7 @@ class Backlash(Effect, row="backlash"):
         return Footprint(site.name, "position", 1.0, 1.0, offset=0.5 * values["gap"])
 
 
-class FlexibleCoupling(Effect, row="flexible-coupling"):
+class FlexibleCoupling(Effect, ids="flexible-coupling"):
     """Flexible coupling: two inertias with a spring and a damper between them."""
 
     def priors(self, scales: Scales) -> dict[str, Prior]:

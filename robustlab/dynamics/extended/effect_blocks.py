@@ -1,8 +1,4 @@
-r"""Effects as uncertainty: the linear model of a plant with effects, and blocks or bounded inputs for the rest.
-
-.. math::
-    \dot x = A x + B\,(u + d) + \sum_j b_j f_j, \qquad |f_j| \le F_j, \quad |d| \le d_{max}
-"""
+"""Effects as uncertainty: a linear model x' = A x + B (u + d) + sum b_j f_j, with blocks or bounds of d and f_j."""
 # Gelb, Vander Velde, *Multiple-Input Describing Functions* (1968), chapter 2; Wang, Lundström, Skogestad,
 # "Representation of uncertain time delays in the H-infinity framework", Int. J. Control 59 (1994); Březina 2010,
 # section 4.2.
@@ -194,27 +190,13 @@ def _sector(e: AttachedEffect, port: Port, seen: Footprint, amplitude: Amplitude
 
 @dataclass(frozen=True, eq=False)
 class EffectBlocks(Displayable):
-    """A plant with effects as an uncertain model.
+    """A plant with effects as an uncertain model."""
 
-    Attributes
-    ----------
-    model
-        Its inputs are those of ``noise``, then the plant's.
-    noise
-        Inputs for bounded errors.
-    left_out
-        Effect at its place -> reason why it is in no block.
-    approximate
-        Names of the blocks that hold by harmonic balance only: for oscillations, not for every motion.
-    status
-        CONVERGED: the nominal member equals the plant's linear model.
-    """
-
-    model: UncertainModel
-    noise: tuple[NoiseInput, ...]
-    left_out: Mapping[str, str]
-    approximate: tuple[str, ...] = ()
-    status: Status = Status.CONVERGED
+    model: UncertainModel  # its inputs are those of ``noise``, then the plant's
+    noise: tuple[NoiseInput, ...]  # inputs for bounded errors
+    left_out: Mapping[str, str]  # effect at its place -> reason why it is in no block
+    approximate: tuple[str, ...] = ()  # names of the blocks that hold by harmonic balance only, for oscillations
+    status: Status = Status.CONVERGED  # the nominal member equals the plant's linear model
 
     @property
     def origins(self) -> dict[str, str]:
@@ -434,9 +416,8 @@ def _check(own: StateSpaceModel, name: str, made: EffectBlocks) -> None:
     a, b = (frequency_response(m, omega) for m in (found, own))
     off = float(np.abs(a - b).max() / max(float(np.abs(b).max()), 1e-300))
     if off > NOMINAL_EXACT:
-        raise NoTrustworthyNumber(
-            f"{name}: effect_blocks", f"the nominal member is off the linear model by {off:.2g} of its response"
-        )
+        text = f"the nominal member is off the linear model by {off:.2g} of its response"
+        raise NoTrustworthyNumber(f"{name}: effect_blocks", text)
 
 
 # Number of samples of largest force at which a law is evaluated with other parameter values.
@@ -489,10 +470,7 @@ def _along(plant: ExtendedPlant, effects: Sequence[AttachedEffect], record: Reco
 
 
 def effect_loads(plant: Any, sigmas: float = 2.0, records: Sequence[Record] = (), margin: float = 1.0) -> EffectLoads:
-    """Return a plant with effects as its linear part with bounded loads.
-
-    Effects without a bound for every motion get their largest value along the records.
-    """
+    """Return a plant with effects as its linear part with loads, bounded for every motion or along the records."""
     plant = _extended(plant, "effect_loads")
     linear = [e for e in plant.effects if _is_linear(e)]
     rest = with_effects(plant.plant, linear) if linear else _extended(plant.plant, "")

@@ -1,8 +1,4 @@
-r"""Plants with effects: rates, equilibrium, linear model about a point, simulation.
-
-.. math::
-    \dot x = A x + B\,m(u) + \sum_j b_j f_j, \qquad y = s(C x + D\,m(u)), \qquad f_j \in F_j(q_j, v_j)
-"""
+"""Plants with effects, x' = A x + B m(u) + sum b_j f_j: rates, equilibrium, linear model about a point, simulation."""
 
 from __future__ import annotations
 
@@ -205,10 +201,8 @@ class ExtendedPlant(SteppedPlant):
         dt = float(steps.mean()) if len(steps) else NOMINAL_STEP
         if len(steps) and np.abs(steps - dt).max() > CLOCK_JITTER * dt:
             k = int(np.argmax(np.abs(steps - dt)))
-            found, hint = (
-                f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s",
-                "resample the input on equal steps",
-            )
+            found = f"t[{k + 1}] - t[{k}] = {steps[k]:.9g} s, mean {dt:.9g} s"
+            hint = "resample the input on equal steps"
             raise InputError("simulate", found, "equal steps: delays and force laws step with the clock", hint)
         own = self.model.own
         if x0[own:].any():
@@ -429,12 +423,9 @@ class ExtendedPlant(SteppedPlant):
             off = float(max(shares, default=0.0))
             if off <= HALVED:
                 return found, outputs[::parts]
-        raise NoTrustworthyNumber(
-            f"{self.name}: simulate",
-            f"steps of {1e6 * dt / parts:.3g} us still change the motion by {off:.2g} of its size",
-            None,
-            "a step of your own, without error control: simulate(..., step=1e-4)",
-        )
+        found = f"steps of {1e6 * dt / parts:.3g} us still change the motion by {off:.2g} of its size"
+        hint = "a step of your own, without error control: simulate(..., step=1e-4)"
+        raise NoTrustworthyNumber(f"{self.name}: simulate", found, None, hint)
 
     def _stepped(self, drive: Drive, x0: Array, guess: Array | None) -> tuple[Array, Array]:
         own = len(self.plant.states)

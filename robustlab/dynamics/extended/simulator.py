@@ -581,13 +581,9 @@ def march(
             found, passes, words = None, PASSES, f"{error.where}: {error.found}"
         if found is None:
             if count == 1:
-                time = drive.t0 + at * drive.h
-                raise NoTrustworthyNumber(
-                    f"{plant.name}: simulate",
-                    f"no motion beyond t = {time:.6g} s: {words}",
-                    None,
-                    "shorter steps, or a motion within the machine's reach",
-                )
+                reason = f"no motion beyond t = {drive.t0 + at * drive.h:.6g} s: {words}"
+                hint = "shorter steps, or a motion within the machine's reach"
+                raise NoTrustworthyNumber(f"{plant.name}: simulate", reason, None, hint)
             length = max(1, count // 4)
             continue
         reached = found[1:, : len(plant.states)]

@@ -155,10 +155,8 @@ def _not_finite(stages, found):
 
 @leaf
 def integrated(start, inputs, machine, rtol, least, growing, z_at):
-    """Integrate to the times of the inputs; return (outcome, time reached, samples reached, state not finite).
-
-    Error tolerance: rtol times ``least``, or times the state's magnitude where that is larger and it is ``growing``.
-    """
+    """Integrate to the times of the inputs; return (outcome, time reached, samples reached, state not finite)."""
+    # Error tolerance: rtol times ``least``, or times the state's magnitude where that is larger and it is ``growing``.
     clock, polynomials, broken = inputs
     n, last = start.shape[0], clock.shape[0] - 1
     stages, at, end, scale, u = np.zeros((16, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(polynomials.shape[2])

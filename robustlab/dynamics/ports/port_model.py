@@ -1,8 +1,4 @@
-r"""A linear plant with its ports: places where the forces of effects act and their motion is measured.
-
-.. math::
-    \dot x = A x + B u + \sum_j b_j f_j, \qquad v_j = c_j^T x, \qquad q_j = p_j^T x, \qquad y = C x + D u
-"""
+"""A linear plant with ports, places where forces f_j of effects act: x' = A x + B u + sum b_j f_j, v_j = c_j x."""
 
 from __future__ import annotations
 

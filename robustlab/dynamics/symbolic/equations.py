@@ -1,7 +1,4 @@
-r"""Equations of a user-defined plant, written with CasADi.
-
-.. math:: M(q)\, \ddot q = f(q, \dot q, u, p) \qquad\text{or}\qquad \dot x = f(x, u, p), \qquad y = h(x, u, p)
-"""
+"""Equations of a user-defined plant in CasADi: M(q) q'' = f(q, q', u, p) or x' = f(x, u, p), and y = h(x, u, p)."""
 
 from __future__ import annotations
 
@@ -240,10 +237,8 @@ class PlantEquations:
         return joints + tuple(PortPlace(i, "current", "V") for i in self._currents)
 
     def _differentiated(self, x: Any, u: Any, force: Any, parameters: dict[str, Parameter]) -> tuple[Any, Any, Any]:
-        """Return rates (n_x), their Jacobian by x and u (n_x, n_x + n_u) and by the forces (n_x, n_ports).
-
-        The accelerations a of M a = f have the derivatives M^-1 (f' - M' a): M is factorised once.
-        """
+        """Return rates (n_x), their Jacobian by x and u (n_x, n_x + n_u) and by the forces (n_x, n_ports)."""
+        # The accelerations a of M a = f have the derivatives M^-1 (f' - M' a): M is factorised once.
         ca = self._ca
         rates = dict(self._rates)
         for position, velocity, _ in self._joints:
@@ -316,10 +311,7 @@ class PlantEquations:
                 raise InputError(f"{self._where}: {place.name!r}", found, "it in the state's rate")
 
     def _check_mass_matrix(self, matrix: Any, parameters: dict[str, Parameter]) -> None:
-        """Check that the mass matrix is symmetric at all probes and positive definite at one.
-
-        Not at all: a mass that is a state may be negative there.
-        """
+        """Check that the mass matrix is symmetric at all probes, and positive definite at one (it may hold states)."""
         names, where = list(self._symbols), f"{self._where}: motion: mass matrix"
         function = self._ca.Function("M", [self._ca.vertcat(*self._symbols.values())], [matrix])
         draw = np.random.default_rng(0).uniform(-1.0, 1.0, (PROBES, len(names)))

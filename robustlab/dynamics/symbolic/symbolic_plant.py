@@ -1,7 +1,4 @@
-r"""Nonlinear plants whose equations are tapes: lists of elementary operations for storage and compiled evaluation.
-
-.. math:: \dot x = f(x, u, p), \qquad y = h(x, u, p)
-"""
+"""Nonlinear plants x' = f(x, u, p), y = h(x, u, p) as tapes: lists of operations for storage and compilation."""
 
 from __future__ import annotations
 
@@ -353,8 +350,7 @@ def rest(plant: NonlinearPlant, where: Mapping[str, Any]) -> Trim:
         names = [f"the rate of {s.name}" for s in plant.states] + [f"output {plant.outputs[k].name}" for k in wanted]
         words = ", ".join(f"{k} = {v:g}" for k, v in given.items()) or "zero inputs"
         hint = "hold other states, inputs or outputs, or give start=(x, u) near to it"
-        found = f"no rest was found with {words}: {names[row]} stays off"
-        raise NoTrustworthyNumber(plant.name, found, None, hint)
+        raise NoTrustworthyNumber(plant.name, f"no rest was found with {words}: {names[row]} stays off", None, hint)
     z, excess = _nearest(plant, began, (z, excess), free, wanted)
     x, u = z[:n_x], z[n_x:]
     residual = float(np.abs(plant.derivative(x, u)).max(initial=0.0))
