@@ -28,15 +28,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import constants
 from robustlab.identification.data_checks.resampling import clock_step, uniform
 from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.greybox.effect_fit import (
-    Candidate,
-    Clock,
-    Fit,
-    FitPlan,
-    Hypothesis,
-    NoiseModel,
-    Problem,
-)
+from robustlab.identification.greybox.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.missing_effects.discovery import discover, known_plant
 from robustlab.identification.missing_effects.discovery_result import Discovery

@@ -311,12 +311,7 @@ class Matching(NamedTuple):
 
 @one_thread()
 @error_context("compare")
-def compare(
-    plant: Any,
-    record: Record,
-    *,
-    window: float | None = None,
-) -> Comparison:
+def compare(plant: Any, record: Record, *, window: float | None = None) -> Comparison:
     """Compare a plant or model with a measured record at all outputs they share.
 
     Parameters

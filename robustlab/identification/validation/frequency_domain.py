@@ -32,12 +32,7 @@ from robustlab.identification.validation.sampled_problem import (
     sparse_matrices,
     zero_order_hold,
 )
-from robustlab.identification.validation.validation_result import (
-    BlockSize,
-    Validation,
-    concluded,
-    require_replay,
-)
+from robustlab.identification.validation.validation_result import BlockSize, Validation, concluded, require_replay
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
 from robustlab.result import Evidence, Table, Tabular
