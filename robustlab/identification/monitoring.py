@@ -329,11 +329,9 @@ def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
-    """Return a piece's equations about its fit, and the number of windows used.
-
-    Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
-    residuals by more than `MOST_BENT` (a contact about to break away).
-    """
+    """Return a piece's equations about its fit, and the number of windows used."""
+    # Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
+    # residuals by more than `MOST_BENT` (a contact about to break away).
 
     def residual(z: Array, problem: Problem = problem) -> Array:
         return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts), fit.noise)[0]

@@ -488,10 +488,8 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
 
 
 def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motion]:
-    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint.
-
-    An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
-    """
+    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint."""
+    # An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
     plant, x, local = model.plant, model.course.x, _about(model)
     joints = _joints(plant)
     speeds = [v for _, v in joints]
