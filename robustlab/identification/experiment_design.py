@@ -75,11 +75,8 @@ class NextExperiment(Evidence):
 
 
 def propose_experiment(problem: Problem, named: Fit, rivals: Sequence[Fit]) -> NextExperiment | None:
-    """Select the experiment of the menu that separates the named candidate and its rivals best; None if none can.
-
-    Inputs stay within the recorded sizes, positions in m within their recorded range; the experiment is as long as the
-    longest record, or twenty slowest time constants.
-    """
+    """Select the experiment of the menu that separates the named candidate and its rivals best; None if none can."""
+    # Inputs stay within the recorded sizes, positions in m within their recorded range.
     rivals = [r for r in rivals if r.hypothesis.key != named.hypothesis.key]
     rivals = sorted(rivals, key=lambda f: -f.evidence)[:MOST_OPPONENTS]
     fits, pairs = [named, *rivals], [(r, named) if _contains(r, named) else (named, r) for r in rivals]

@@ -28,15 +28,7 @@ from robustlab.errors import InputError, NoTrustworthyNumber, error_context
 from robustlab.identification import constants
 from robustlab.identification.data_checks.resampling import clock_step, uniform
 from robustlab.identification.greybox.candidates import candidates, nuisance_parameters, stated_tolerances
-from robustlab.identification.greybox.effect_fit import (
-    Candidate,
-    Clock,
-    Fit,
-    FitPlan,
-    Hypothesis,
-    NoiseModel,
-    Problem,
-)
+from robustlab.identification.greybox.effect_fit import Candidate, Clock, Fit, FitPlan, Hypothesis, NoiseModel, Problem
 from robustlab.identification.greybox.prepared_record import PreparedRecord, ports_of, prepare, window_length
 from robustlab.identification.missing_effects.discovery import discover, known_plant
 from robustlab.identification.missing_effects.discovery_result import Discovery
@@ -337,11 +329,9 @@ def _own(there: AttachedEffect, pool: Sequence[Candidate]) -> Candidate:
 
 
 def _equations(problem: Problem, fit: Fit, spread: Array) -> tuple[PieceEquations, int]:
-    """Return a piece's equations about its fit, and the number of windows used.
-
-    Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
-    residuals by more than `MOST_BENT` (a contact about to break away).
-    """
+    """Return a piece's equations about its fit, and the number of windows used."""
+    # Excluded: windows in which halved time steps or the even part of the parameter steps ``spread`` (k, m) change the
+    # residuals by more than `MOST_BENT` (a contact about to break away).
 
     def residual(z: Array, problem: Problem = problem) -> Array:
         return problem.whitened(problem.errors(fit.hypothesis, z, fit.starts), fit.noise)[0]

@@ -311,12 +311,7 @@ class Matching(NamedTuple):
 
 @one_thread()
 @error_context("compare")
-def compare(
-    plant: Any,
-    record: Record,
-    *,
-    window: float | None = None,
-) -> Comparison:
+def compare(plant: Any, record: Record, *, window: float | None = None) -> Comparison:
     """Compare a plant or model with a measured record at all outputs they share.
 
     Parameters
@@ -493,10 +488,8 @@ def matching_along(plant: NonlinearPlant, record: Record) -> Matching:
 
 
 def motions_of_outputs(model: MotionResponse, record: Record) -> dict[str, Motion]:
-    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint.
-
-    An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
-    """
+    """Return output name -> motion of its joint, or `NO_MOTION` for an output without a unique joint."""
+    # An output that measures no position or speed (a current) belongs to the joint whose speed acts on it most.
     plant, x, local = model.plant, model.course.x, _about(model)
     joints = _joints(plant)
     speeds = [v for _, v in joints]

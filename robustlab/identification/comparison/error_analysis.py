@@ -96,10 +96,7 @@ class Spectrum(Evidence):
 
 
 def motion_of(record: Record, window: int) -> Motion:
-    """Return speed and position of a record: the first outputs in such units.
-
-    Without a speed it is the derivative of the position by a Savitzky-Golay filter over a tenth of the window.
-    """
+    """Return speed and position of a record: the first outputs in such units, else the derivative of the position."""
     position, speed = _first_in(record, POSITION_UNITS), _first_in(record, SPEED_UNITS)
     q = record[position] if position else None
     q_unit = record.unit(position) if position else ""
@@ -255,17 +252,11 @@ class Linearisation(Evidence):
 
 
 def localised(
-    whole: Stretch,
-    outputs: Sequence[Signal],
-    free: Array | None,
-    windows: WindowedSimulation,
-    motions: Mapping[str, Motion],
-    lags: int,
-) -> dict[str, Any]:
-    """Compute errors over windows, speed, direction, position and frequency, and residual tests.
-
-    ``free``: the free run (n, n_y); None where it does not reach the end of the record.
-    """
+    whole: Stretch, outputs: Sequence[Signal], free: Array | None, windows: WindowedSimulation,
+    motions: Mapping[str, Motion], lags: int,
+) -> dict[str, Any]:  # fmt: skip
+    """Compute errors over windows, speed, direction, position and frequency, and residual tests."""
+    # ``free``: the free run (n, n_y); None where it does not reach the end of the record.
     keys = ("outputs", "windows", "speed", "direction", "position", "frequency", "residual")
     result: dict[str, dict[str, Any]] = {key: {} for key in keys}
     t, u, y, edges = whole.t, whole.u, whole.y, windows.edges
@@ -342,10 +333,8 @@ def autocorrelation(residual: ArrayLike, lags: int) -> tuple[Array, NDArray[np.i
 
 
 def whiteness(residual: ArrayLike, lags: int) -> Correlation:
-    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples.
-
-    Q = N (N + 2) sum r_k^2 / N_k with N_k pairs at lag k, not centred: no parameter was fitted.
-    """
+    """Apply the Ljung-Box test to the first ``lags`` autocorrelations of a residual (n,) without its NaN samples."""
+    # Q = N (N + 2) sum r_k^2 / N_k with N_k pairs at lag k, not centred: no parameter was fitted.
     from scipy.linalg import toeplitz
     from scipy.special import chdtrc
 
@@ -361,10 +350,8 @@ def whiteness(residual: ArrayLike, lags: int) -> Correlation:
 
 
 def input_correlation(u: ArrayLike, residual: ArrayLike, lags: int) -> Correlation:
-    """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``.
-
-    NaN samples of the residual are excluded. Q = N R^2 of the regression of the residual on lags 0.. of the input.
-    """
+    """Compute the cross-correlation of an input (n,) with a residual (n,) over lags -``lags``..``lags``."""
+    # Q = N R^2 of the regression of the residual on lags 0.. of the input, without NaN samples.
     from scipy.special import chdtrc
 
     e, v = (np.asarray(x, dtype=np.float64) for x in (residual, u))
@@ -444,11 +431,8 @@ class InputDisturbance(Evidence):
 def input_disturbances(
     plant: Any, response: LinearResponse, error: Array, edges: Indices, motion: Motion
 ) -> dict[str, InputDisturbance]:
-    """Estimate a disturbance at each input (by name) and each joint without a direct input (``torque at omega``).
-
-    ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model, a nonuniform time base and too
-    few samples.
-    """
+    """Estimate a disturbance at each input (by name) and each joint without a direct input (``torque at omega``)."""
+    # ``error``: of the windows between ``edges``, (n, n_y). Empty for a discrete model and a nonuniform time base.
     whole, names = response.whole, response.response.output_names
     model = response.response.model.select(outputs=names)
     if model.is_discrete or not whole.is_uniform or len(whole.t) < SHORTEST:
@@ -474,10 +458,7 @@ def input_disturbances(
 def joint_disturbances(
     response: MotionResponse, smoothed: SmoothedRecord, error: Array, edges: Indices, motions: Sequence[Motion]
 ) -> dict[str, InputDisturbance]:
-    """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints.
-
-    ``error``: of the windows between ``edges``, (n, n_y). ``motions``: of each joint or input.
-    """
+    """Estimate a disturbance at each joint of a nonlinear plant, or at each input of one without joints."""
     plant = response.plant
     units = {s.name: s.unit for s in plant.states}
     joints = [(_force_at(p.name, units[p.name]), p.unit) for p in plant.port_places if p.kind == "joint"]

@@ -145,10 +145,8 @@ def period_of(samples: ArrayLike, tolerance: float | None = None) -> int | None:
 
 
 def effective_dof(deviation: Array) -> float:
-    """Estimate the effective number of independent samples in the mean square of one repeat from deviations (P, N).
-
-    (sum S)^2 / sum S^2 of their spectrum, with P / (P - 1) for its own scatter, and the variances of 20 blocks.
-    """
+    """Estimate the effective number of independent samples in the mean square of one repeat from deviations (P, N)."""
+    # (sum S)^2 / sum S^2 of their spectrum, with P / (P - 1) for its own scatter, and the variances of 20 blocks.
     count, n = deviation.shape
     power = (np.abs(np.fft.fft(deviation, axis=1)) ** 2).sum(axis=0)
     colour = min(float(n), float(power.sum() ** 2 / (power**2).sum()) * count / (count - 1))

@@ -36,11 +36,9 @@ LEFT = 0.1  # share of the squared error that may remain with an inverted channe
 
 
 def turned_channels(plant: NonlinearPlant, record: Record) -> dict[str, float]:
-    """Return the channel with a wrong sign -> share of the squared error that remains when inverted; empty for none.
-
-    The record has a uniform time base and all inputs of the plant. Raises InputError if the position of a joint is
-    missing, NoTrustworthyNumber if the plant cannot have such a motion with any channel inverted.
-    """
+    """Return the channel with a wrong sign -> share of the squared error that remains when inverted; empty for none."""
+    # Raises InputError if the position of a joint is missing, NoTrustworthyNumber if the plant cannot have such
+    # a motion with any channel inverted.
     names = [s.name for s in plant.outputs if s.name in record.outputs]
     first = max(0, (record.n - LONGEST) // 2)
     whole = stretch_of(record, [s.name for s in plant.inputs], names).cut(first, first + LONGEST)
@@ -135,10 +133,7 @@ def unit_factors(unit: str) -> dict[float, str]:
 def contradictions(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask, factors: Sequence[Factors]
 ) -> list[Finding]:
-    """Find the channels of a uniformly sampled record that contradict the model, the most reliable test first.
-
-    ``good``: measured samples, (n,). ``factors``: of each output.
-    """
+    """Find the channels that contradict the model, the most reliable test first; ``good``: measured samples, (n,)."""
     units = {s.name: record.units.get(s.name) or s.unit for s in (*model.inputs, *model.outputs)}
     found = _from_derivatives(model, outputs, record, good, units, factors)
     taken = {name for one in found for name in one.channel.split(", ")}
@@ -293,20 +288,12 @@ class Factors(NamedTuple):
 
     def evidence(self, i: int) -> tuple[str, dict[str, object]]:
         """Return the text and the figures of the factor of input i."""
-        data: dict[str, object] = {
-            "test": "response in windows",
-            "found": float(self.s[i]),
-            "r2": self.share,
-            "window": self.window,
-        }
-        return f"its response is {self.s[i]:.3g} times the model's, R² {self.share:.3g}", data
+        text = f"its response is {self.s[i]:.3g} times the model's, R² {self.share:.3g}"
+        return text, {"test": "response in windows", "found": float(self.s[i]), "r2": self.share, "window": self.window}
 
 
 def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple[float, float]:
-    """Round the factor of input i to 1, -1 or the factor of a unit: the certain value and the likely one, else NaN.
-
-    The likely one decides which of two channels is wrong.
-    """
+    """Round the factor of input i to 1, -1 or the factor of a unit: the certain value and the likely one, else NaN."""
     sizes = [1.0, *unit_factors(output_unit), *(1.0 / f for f in unit_factors(input_unit))]
 
     def nearest(s: float) -> float:
@@ -325,10 +312,7 @@ def _snapped(found: Factors, i: int, output_unit: str, input_unit: str) -> tuple
 def response_factors(
     model: StateSpaceModel, outputs: tuple[str, ...], record: Record, good: Mask
 ) -> tuple[Factors, ...]:
-    """Fit the factors of each output in windows of the whole record, a sixth or a thirtieth, whichever fits best.
-
-    ``record``: uniformly sampled; windows with samples that are not ``good`` (n,) are excluded.
-    """
+    """Fit the factors of each output in windows of the whole record, a sixth or a thirtieth, whichever fits best."""
     u = np.column_stack([record.inputs[name] for name in model.input_names])
     y = np.column_stack([record.outputs[name] for name in outputs])
     if point := model.operating_point:

@@ -125,10 +125,8 @@ RANK = 1e-9
 
 
 def position_datum(plant: LinearPlant, records: Sequence[Record]) -> dict[str, float]:
-    """Return output -> datum to subtract in all of the records; empty if no position is far from zero.
-
-    A datum is free along a single null vector of A that moves outputs: the equations are the same at every position.
-    """
+    """Return output -> datum to subtract in all of the records; empty if no position is far from zero."""
+    # A datum is free along a single null vector of A that moves outputs: the equations are the same at every position.
     model = plant.state_space()
     _, sigma, right = np.linalg.svd(model.A)
     null = right[sigma <= RANK * sigma.max(initial=0.0)]

@@ -126,10 +126,8 @@ def check_record(record: Record, plant: Any = None) -> RecordCheck:
 
 
 def channel_warnings(record: Record, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> list[str]:
-    """Return one line for each constant channel and each clipped output.
-
-    Inputs are not checked for clipping: a step or a square wave is correctly at its extremes.
-    """
+    """Return one line for each constant channel and each clipped output."""
+    # Inputs are not checked for clipping: a step or a square wave is correctly at its extremes.
     constant = [name for name in (*inputs, *outputs) if not np.ptp(record[name])]
     warnings = [f"{name} is constant: {record[name][0]:.6g} {record.unit(name)}".rstrip() for name in constant]
     for f in _clipped(record, outputs):
@@ -331,10 +329,8 @@ def _dead(record: Record, outputs: tuple[str, ...]) -> list[Finding]:
 
 
 def _too_short(response: Response, record: Record) -> list[Finding]:
-    """Check that the record covers one period of the slowest oscillation; its decay does not matter.
-
-    A mode that decays more slowly than the record lasts behaves as an integrator within it: reported, not fatal.
-    """
+    """Check that the record covers one period of the slowest oscillation; its decay does not matter."""
+    # A mode that decays more slowly behaves as an integrator within the record: reported, not fatal.
     slowest, period = slowest_time_constant(response.model), longest_period(response.model)
     if record.duration >= (period or slowest):
         return []

@@ -277,14 +277,9 @@ class Problem:
     """Plant, records and nuisance parameters; fits hypotheses on chosen windows."""
 
     def __init__(
-        self,
-        plant: AnyPlant,
-        records: Sequence[PreparedRecord],
-        nuisances: Sequence[Nuisance],
-        chosen: Sequence[Indices] | None = None,
-        clock: Clock = Clock(),
-        work: list[int] | None = None,
-    ) -> None:
+        self, plant: AnyPlant, records: Sequence[PreparedRecord], nuisances: Sequence[Nuisance],
+        chosen: Sequence[Indices] | None = None, clock: Clock = Clock(), work: list[int] | None = None,
+    ) -> None:  # fmt: skip
         self.plant, self.records, self.nuisances = plant, tuple(records), tuple(nuisances)
         self.clock, self.work = clock, [] if work is None else work
         self.chosen = tuple(chosen) if chosen is not None else tuple(np.arange(r.count) for r in records)
@@ -380,13 +375,9 @@ class Problem:
         return averaged(errors.reshape(-1, *measured.shape[1:]), record.thin)
 
     def outputs(
-        self,
-        k: int,
-        simulator: Simulator,
-        setting: Setting,
-        xi: Array,
+        self, k: int, simulator: Simulator, setting: Setting, xi: Array,
         near: tuple[dict[str, float], list[dict[str, float]]] | None = None,
-    ) -> Array:
+    ) -> Array:  # fmt: skip
         """Return simulated measured outputs of the chosen windows of one record, (n_windows, length, n_measured)."""
         # For several initial states, xi (copies, n_windows, n_x), the copies follow each other. ``near``: nearby
         # parameters for the matrices of a nonlinear plant and their motion.
@@ -445,14 +436,9 @@ class Problem:
     # --- the fit -----------------------------------------------------------------------------------------------------
 
     def fit(
-        self,
-        hypothesis: Hypothesis,
-        noise: NoiseModel,
-        z: Array,
-        starts: Sequence[Array] | None = None,
-        plan: FitPlan = FitPlan(),
-        prior: Prior | None = None,
-    ) -> Fit:
+        self, hypothesis: Hypothesis, noise: NoiseModel, z: Array, starts: Sequence[Array] | None = None,
+        plan: FitPlan = FitPlan(), prior: Prior | None = None,
+    ) -> Fit:  # fmt: skip
         """Minimise V by Levenberg-Marquardt from z."""
         # A nonlinear plant's matrices multiply deviations from its motion: they are recomputed after large changes of z
         # and at the end.

@@ -157,13 +157,9 @@ def window_length(plant: AnyPlant, records: Sequence[Record], model: PortModel |
 
 
 def prepare(
-    plant: AnyPlant,
-    model: PortModel,
-    record: Record,
-    length: int,
-    valid: dict[str, Mask] | None = None,
+    plant: AnyPlant, model: PortModel, record: Record, length: int, valid: dict[str, Mask] | None = None,
     outputs: Collection[str] = (),
-) -> PreparedRecord:
+) -> PreparedRecord:  # fmt: skip
     """Cut a uniform record into windows of ``length`` samples and smooth it."""
     # valid: output -> mask of the measured samples; outputs: those to use, by default the record's.
     names = [s.name for s in plant.outputs]
@@ -197,21 +193,9 @@ def prepare(
     fastest = _fastest_seen(model, y[:, own], record.dt, smoothed.noise_std[own])
     thin = max(1, min(length // POINTS_PER_WINDOW, int(AVERAGED_SHARE * fastest)))
     return PreparedRecord(
-        record,
-        u,
-        y,
-        columns,
-        windows,
-        smoothed.x[windows.starts].copy(),
-        std,
-        smoothed,
-        parts,
-        constant,
-        push,
-        thin,
-        resolution,
-        None if isinstance(plant, LinearPlant) else smoothed.x,
-    )
+        record, u, y, columns, windows, smoothed.x[windows.starts].copy(), std, smoothed, parts, constant, push, thin,
+        resolution, None if isinstance(plant, LinearPlant) else smoothed.x,
+    )  # fmt: skip
 
 
 def _signals(plant: AnyPlant, record: Record, outputs: Collection[str] = ()) -> tuple[Array, Array, tuple[int, ...]]:

@@ -361,10 +361,7 @@ class FittedWindows:
         return gram + self.weight * prior
 
     def force_along(self) -> tuple[Array, Array]:
-        """Return the port's force given the errors and the parameters: mean and std, (n_windows, n_segments).
-
-        The posterior of the random force (Rasmussen, Williams, 2006, equation 2.12).
-        """
+        """Return mean and std of the force, (n_windows, n_segments) (Rasmussen, Williams, 2006, equation 2.12)."""
         response, size = self.response, self.alone.size or SIZES[1]
         s, n = response.pulses, response.gram.shape[1]
         order = [*range(n - 1 - response.xi.shape[1], n - 1), *range(s), n - 1]

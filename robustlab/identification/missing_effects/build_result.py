@@ -371,13 +371,10 @@ def _values(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[result.Ef
 def _named(found: Found, posterior: Posterior, fit: Fit, candidate: Candidate) -> result.NamedEffect:
     less = next((v for v in found.sets if v.key == posterior.best.key - {candidate.key}), found.empty)
     return result.NamedEffect(
-        candidate.effect.id,
-        candidate.effect.title,
-        candidate.site.name,
-        _opened_above(found.problem, fit, candidate),
+        candidate.effect.id, candidate.effect.title, candidate.site.name, _opened_above(found.problem, fit, candidate),
         float(min(1.0, sum(w.probability for w in posterior.sets if candidate.key in w.key))),
         posterior.best.scored.evidence - less.evidence,
-    )
+    )  # fmt: skip
 
 
 def _opened_above(problem: Problem, fit: Fit, candidate: Candidate) -> tuple[result.EffectValue, ...]:
@@ -405,15 +402,10 @@ def _rival(
     problem: Problem, posterior: Posterior, candidate: Candidate, instead_of: Candidate | None, there: Weighted
 ) -> result.Rival:
     return result.Rival(
-        candidate.effect.id,
-        candidate.effect.title,
-        candidate.site.name,
-        _values(problem, there.fit, candidate),
-        there.probability,
-        there.evidence - posterior.best.evidence,
-        instead_of.effect.id if instead_of else "none",
+        candidate.effect.id, candidate.effect.title, candidate.site.name, _values(problem, there.fit, candidate),
+        there.probability, there.evidence - posterior.best.evidence, instead_of.effect.id if instead_of else "none",
         there.distance,
-    )
+    )  # fmt: skip
 
 
 def _nominal(problem: Problem, fit: Fit, stated: Mapping[str, tuple[float, bool]]) -> tuple[result.NominalValue, ...]:

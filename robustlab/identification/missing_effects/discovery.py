@@ -205,12 +205,9 @@ def known_plant(plant: Any, where: str) -> AnyPlant:
 
 
 def _problems(
-    plant: AnyPlant,
-    records: Sequence[Record],
-    held_out: Sequence[Record],
-    stated: Mapping[str, tuple[float, bool]],
+    plant: AnyPlant, records: Sequence[Record], held_out: Sequence[Record], stated: Mapping[str, tuple[float, bool]],
     window: float | None,
-) -> tuple[Problem, Problem, PortModel, str]:
+) -> tuple[Problem, Problem, PortModel, str]:  # fmt: skip
     """Return the windows to fit, those held out, the plant's ports, and a description of the held-out windows."""
     step = clock_step(records[0].t)  # the mean step of a record with gaps is no sample time
     uniformed = [uniform(r, None if r.is_uniform else step) for r in (*records, *held_out)]

@@ -375,12 +375,9 @@ class Search:
 
 
 def promising(
-    problem: Problem,
-    base: Fit,
-    pool: Sequence[Candidate],
-    wanted: float,
+    problem: Problem, base: Fit, pool: Sequence[Candidate], wanted: float,
     report: Callable[[int, int], None] = lambda done, count: None,
-) -> list[Start]:
+) -> list[Start]:  # fmt: skip
     """Return the starts of the effects with the highest scores on top of a set, if V may fall by ``wanted``."""
     quick = problem.under(replace(problem.clock, rough=True))
     residual = quick.whitened(quick.errors(base.hypothesis, base.z, base.starts), base.noise)

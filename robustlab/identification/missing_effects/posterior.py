@@ -92,9 +92,7 @@ class Posterior:
         return self.sets[0]
 
     def alternatives(self) -> list[tuple[Candidate, Candidate | None, Weighted]]:
-        """Return each effect of the collection that the best set lacks, the effect of that set which it replaces (None:
-        added to it), and its set.
-        """
+        """Return each effect that the best set lacks, the one that it replaces (None: added), and its set."""
         here = {c.key: c for c in self.best.fit.hypothesis.candidates}
         found: dict[str, tuple[Candidate, Candidate | None, Weighted]] = {}
         for other in self.collection[1:]:

@@ -13,10 +13,8 @@ _1, _2 = (types.Array(types.float64, k, "C") for k in (1, 2))
 
 @njit(types.void(_2, _2, _1), cache=True)
 def predict(rows, values, floor):
-    """Turn the values (n, m) of rows (n, n_x) into their recursive residuals, in place; rows are overwritten.
-
-    Entries of a row below ``floor`` (n_x,) are ignored. A row that fixes a free direction gives NaN.
-    """
+    """Turn the values (n, m) of rows (n, n_x) into their recursive residuals, in place; rows are overwritten."""
+    # Entries of a row below ``floor`` (n_x,) are ignored. A row that fixes a free direction gives NaN.
     n, n_x = rows.shape
     m = values.shape[1]
     root, right = np.zeros((n_x, n_x)), np.zeros((n_x, m))

@@ -72,10 +72,7 @@ class Response:
         return stretch_of(record, self.model.input_names, self.output_names)
 
     def simulate(self, t: Array, u: Mapping[str, Array], x0: Array) -> Array:
-        """Simulate outputs (n, n_y) for the inputs ``u`` held between samples, from the state ``x0`` (n_x,).
-
-        Inputs and outputs are as measured; ``x0`` is in deviations from the operating point, if the model has one.
-        """
+        """Simulate outputs (n, n_y), as measured, for held inputs ``u`` from the deviation ``x0`` (n_x,)."""
         point = self.model.operating_point
         if point is None:
             return self._run(t, u, x0)
@@ -310,10 +307,7 @@ class MotionResponse:
     def responses(
         self, starts: Sequence[int] | Indices, length: int, added: Array | None = None
     ) -> Iterator[WindowResponses]:
-        """Simulate windows of ``length`` samples in batches.
-
-        ``added``: forces at the joints, or at the inputs of a plant without joints, (n, n_forces).
-        """
+        """Simulate windows in batches; ``added``: forces at the joints, or at the inputs without any, (n, n_forces)."""
         n_x, n_d = len(self.plant.states), 0 if added is None else added.shape[1]
         size = length * (len(self.columns) * (1 + n_x + n_d) + STEPS * n_x * (2 * n_x + n_d))
         count = max(1, AT_ONCE // size)
@@ -375,11 +369,9 @@ class InitialState(Evidence):
 
 
 def starting_state(model: Windowed, longest: int) -> InitialState:
-    """Estimate the state at the start of a record from the longest opening stretch with a consistent estimate.
-
-    A short stretch suffers from noise, a long one from model errors. The stretch is doubled from 20 samples (at least
-    4 n_x numbers) up to ``longest``, while the 3-sigma intervals of all estimates so far have a common point.
-    """
+    """Estimate the state at the start of a record from the longest opening stretch with a consistent estimate."""
+    # A short stretch suffers from noise, a long one from model errors. It is doubled while the 3-sigma intervals of all
+    # estimates so far have a common point.
     t, names = model.whole.t, model.state_names
     longest = min(longest, len(t))
     n = min(len(t), max(SHORTEST_START, 4 * len(names) // model.whole.y.shape[1]))
@@ -409,10 +401,7 @@ class FitOfWindows:
 
 
 def fit_windows(model: Windowed, windows: WindowResponses, error: Array | None = None) -> FitOfWindows:
-    """Fit the initial states of windows by weighted least squares.
-
-    ``error``: (n_windows, length, n_y); default measured minus simulated outputs.
-    """
+    """Fit initial states by least squares to ``error`` (n_windows, length, n_y), default measured minus simulated."""
     weight = model.whole.weight
     error = model.whole.y[windows.samples] - windows.y if error is None else error
     lhs = (windows.free * weight[:, None]).reshape(len(error), error[0].size, -1)
@@ -457,10 +446,8 @@ def window_edges(n: int, length: int) -> NDArray[np.int_]:
 
 
 def windowed_simulation(model: Windowed, edges: NDArray[np.int_]) -> WindowedSimulation:
-    """Simulate every window between the edges from its own least-squares initial state; NaN outside.
-
-    Without ``together`` each sample of the residual is predicted from samples of the same output only.
-    """
+    """Simulate every window between the edges from its own least-squares initial state; NaN outside."""
+    # Without ``together`` each sample of the residual is predicted from samples of the same output only.
     from robustlab.identification.response.recursion_kernel import predict
 
     y, weight, n_x = model.whole.y, model.whole.weight, len(model.state_names)

@@ -32,12 +32,7 @@ from robustlab.identification.validation.sampled_problem import (
     sparse_matrices,
     zero_order_hold,
 )
-from robustlab.identification.validation.validation_result import (
-    BlockSize,
-    Validation,
-    concluded,
-    require_replay,
-)
+from robustlab.identification.validation.validation_result import BlockSize, Validation, concluded, require_replay
 from robustlab.linear_analysis.frequency import frequency_response
 from robustlab.record import Record
 from robustlab.result import Evidence, Table, Tabular
@@ -58,16 +53,8 @@ FLOOR = 1e-9  # a multiplier of this share of the largest makes the Lagrangian o
 class FrequencyData(Tabular, Evidence):
     """A measured frequency response of one input.
 
-    Attributes
-    ----------
-    omega
-        Frequencies in rad/s, shape (n,), increasing.
-    response
-        Complex, shape (n, n_y), in units of output per input.
-    input, outputs
-        The driven input, and the measured outputs, by the names of the model.
-    name
-        Name in messages.
+    ``omega``: frequencies in rad/s, (n,), increasing. ``response``: complex, (n, n_y), in units of output per input.
+    ``input``, ``outputs``: the driven input and the measured outputs, by the names of the model.
 
     Raises
     ------
@@ -89,16 +76,12 @@ class FrequencyData(Tabular, Evidence):
     response: ComplexArray
     input: str
     outputs: tuple[str, ...]
-    name: str = "frequency response"
+    name: str = "frequency response"  # in messages
 
     def __init__(
-        self,
-        omega: ArrayLike,
-        response: ArrayLike,
-        input: str,
-        outputs: tuple[str, ...] | list[str],
+        self, omega: ArrayLike, response: ArrayLike, input: str, outputs: tuple[str, ...] | list[str],
         name: str = "frequency response",
-    ) -> None:
+    ) -> None:  # fmt: skip
         w, shape = real_array("omega", omega, 1, name), (np.size(omega), len(outputs))
         try:
             G = np.array(response, dtype=np.complex128)
@@ -176,10 +159,8 @@ def _problem(
     uncertain: UncertainModel, omega: Array, response: ComplexArray, forced: ComplexArray, y: ComplexArray,
     bound: Array, *, weight: Array, real: NDArray[np.bool_], total: bool, radius: Array,
 ) -> SpectralProblem:  # fmt: skip
-    """Scale w and z of each block by its nominal z, and remove every block where its z is zero.
-
-    ``response``: of M, (n, p + n_y, q + n_u). ``forced``: nominal z and outputs. ``y``: measured outputs.
-    """
+    """Scale w and z of each block by its nominal z, and remove every block where its z is zero."""
+    # ``response``: of M, (n, p + n_y, q + n_u). ``forced``: nominal z and outputs.
     blocks, (q, p) = tuple(block_slices(uncertain.blocks)), uncertain.delta_shape
     M11, M21, z0 = response[:, :p, :q].copy(), response[:, p:, :q] / bound[..., None], forced[:, :p].copy()
     scales, silent = [], []
@@ -320,12 +301,9 @@ def spectrum_of_response(uncertain: UncertainModel, data: FrequencyData, noise: 
 
 
 def validate_by_lines(
-    uncertain: UncertainModel,
-    data: Record | FrequencyData,
-    noise: Mapping[str, ArrayLike],
-    search: Search,
+    uncertain: UncertainModel, data: Record | FrequencyData, noise: Mapping[str, ArrayLike], search: Search,
     progress: Callable[[str], None],
-) -> Validation:
+) -> Validation:  # fmt: skip
     """Compute bounds of the smallest gamma over the lines; see `robustlab.identification.validation.validate`."""
     where = f"validate {data.name}"
     if not uncertain.blocks:
@@ -455,10 +433,8 @@ def _descend(programme: _Programme, z: ComplexArray, known: bool) -> tuple[float
 
 
 def line_lagrangian(problem: SpectralProblem, multipliers: Multipliers, gamma: float) -> float:
-    """Maximise L over all w: for a total bound the sum over lines, else the line with the smallest maximum.
-
-    +inf if L is not bounded above. A negative value is a proof.
-    """
+    """Maximise L over all w; inf if it is not bounded above, and a negative value is a proof."""
+    # For a total bound: the sum over lines, else the line with the smallest maximum.
     q = problem.M21.shape[2]
     to_z, to_w = np.zeros(problem.z0.shape), np.zeros((problem.n, q))
     for i, (rows, cols) in enumerate(problem.blocks):

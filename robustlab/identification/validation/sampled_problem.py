@@ -62,13 +62,9 @@ class Recorded:
 
 
 def prepared(
-    uncertain: UncertainModel,
-    record: Record,
-    noise: Mapping[str, ArrayLike],
-    *,
-    window: float | None = None,
+    uncertain: UncertainModel, record: Record, noise: Mapping[str, ArrayLike], *, window: float | None = None,
     at_rest: bool = False,
-) -> Recorded:
+) -> Recorded:  # fmt: skip
     where = f"validate {record.name}"
     if not record.is_uniform:
         step = np.diff(record.t)
@@ -154,10 +150,8 @@ class SampledProblem:
         return float(np.abs(noise).max(initial=0.0))
 
     def sizes(self, w: Array, z: Array) -> Array:
-        """Compute for each block the smallest gain of a causal time-varying system that maps z to w.
-
-        The root of ``max_T (sum_{t <= T} |w_t|^2 / sum_{t <= T} |z_t|^2)``.
-        """
+        """Return the least gain of a causal time-varying system from z to w of each block."""
+        # The root of ``max_T (sum_{t <= T} |w_t|^2 / sum_{t <= T} |z_t|^2)``.
         found = []
         for rows, cols, _ in self.blocks:
             ew, ez = (np.cumsum((x**2).sum(axis=1)) for x in (w[:, rows], z[:, cols]))
@@ -168,11 +162,9 @@ class SampledProblem:
 
 
 def sampled(recorded: Recorded, M: StateSpaceModel, blocks: Sequence[Block]) -> SampledProblem:
-    """Set up the problem for a model with Delta channels of the given blocks; zero-order hold on u and w.
-
-    Real blocks count as systems (a relaxation). A constant may make states observable that are not so in the nominal
-    model, so the states that act on such a block are free as well.
-    """
+    """Set up the problem for a model with Delta channels of the given blocks; zero-order hold on u and w."""
+    # Real blocks count as systems (a relaxation). A constant may make states observable that are not so in the nominal
+    # model, so the states that act on such a block are free as well.
     q, p = sum(b.rows for b in blocks), sum(b.cols for b in blocks)
     (A, B), C, D = zero_order_hold(M, recorded.dt), M.C, M.D
     x = states(A, recorded.u @ B[:, q:].T, np.zeros(len(A)))
@@ -324,11 +316,8 @@ class ConeSolution:
 
 
 def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolution | None:
-    """Minimise ``cost x`` over all x whose rows are in their cones; None if infeasible.
-
-    The budget limits the iterations, and a time limit also the solver, which needs a second. The accuracy reported by
-    the solver is not used: only the replay and the certificate of an answer count.
-    """
+    """Minimise ``cost x`` over all x whose rows are in their cones; None if infeasible."""
+    # The accuracy reported by the solver is not used: only the replay and the certificate of an answer count.
     matrices, offsets, turns = [], [], []
     cones: list[Cone] = []
     for part in rows:
@@ -361,10 +350,8 @@ def solved_cones(cost: Array, rows: Sequence[Rows], budget: Budget) -> ConeSolut
 
 
 def largest_disproved(disproved: Callable[[float], bool], start: float, finest: float) -> float:
-    """Find the largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 for none.
-
-    A certificate that disproves a gamma disproves every smaller one: the search begins close to the start, then halves.
-    """
+    """Find the largest gamma below ``start`` that is disproved, to the relative width ``finest``; 0 for none."""
+    # A certificate that disproves a gamma disproves every smaller one: begin close to the start, then halve.
     high, share = start, finest
     while not disproved(good := start * (1 - min(share, 1.0))):
         if share >= 1:

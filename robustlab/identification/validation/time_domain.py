@@ -278,10 +278,8 @@ def _member(recorded: Recorded, delta: Array, search: Search) -> _Member | None:
 
 
 def _move(at: _Member, slope: Array, search: Search, radius: float) -> tuple[Array, Array] | None:
-    """Solve the linearised problem for the change of delta and the free states; None without an answer.
-
-    Variables: change of delta, size of delta, excess of the noise, free states of each window.
-    """
+    """Solve the linearised problem for the change of delta and the free states; None without an answer."""
+    # Variables: change of delta, size of delta, excess of the noise, free states of each window.
     sparse, problem = sparse_matrices(), at.problem
     m, n = len(at.delta), problem.e.size
     noise = sparse.hstack([sparse.csr_matrix(slope), sparse.csr_matrix((n, 2)), -at.free]).tocsr()
@@ -372,10 +370,8 @@ def _maximised(H: Array, keep: list[int], move: list[int]) -> Array | None:
 
 
 def disproved_by(problem: SampledProblem, multipliers: Multipliers, search: Search, start: float) -> float:
-    """Find the largest gamma below ``start`` that the multipliers disprove; 0 for none.
-
-    An infinite ``start`` belongs to multipliers D that are zero where w is free: they disprove every gamma or none.
-    """
+    """Find the largest gamma below ``start`` that the multipliers disprove; 0 for none."""
+    # An infinite ``start`` belongs to multipliers D that are zero where w is free: they disprove every gamma or none.
     search.budget.spend(SWEEP_WORK * problem.n)
     if np.isinf(start):
         return np.inf if lagrangian_maximum(problem, multipliers, 1.0) < 0 else 0.0
@@ -425,10 +421,8 @@ def smallest_contractions(problem: SampledProblem, search: Search) -> Found:
 
 
 def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
-    """Return the first samples at which z has no energy: w must be zero there for any finite gain.
-
-    From equilibrium that is so until the nominal z moves, even where w could move z.
-    """
+    """Return the first samples at which z has no energy: w must be zero there for any finite gain."""
+    # From equilibrium that is so until the nominal z moves, even where w could move z.
     energy = np.cumsum((z[:, cols] ** 2).sum(axis=1))
     silent = energy <= NO_ENERGY * max(energy[-1], 1e-300)
     if problem.at_rest:
@@ -438,10 +432,8 @@ def _silent(problem: SampledProblem, z: Array, cols: slice) -> Mask:
 
 
 def _by_noise(programme: _Programme) -> Found:
-    """Minimise the noise over any w, and test whether its multipliers disprove every gamma.
-
-    Where z is known, w is zero before z moves: its multipliers there are unbounded.
-    """
+    """Minimise the noise over any w, and test whether its multipliers disprove every gamma."""
+    # Where z is known, w is zero before z moves: its multipliers there are unbounded.
     problem = programme.problem
     silent = np.zeros((problem.n, len(problem.blocks)), dtype=bool)
     for k, (_, cols, _) in enumerate(problem.blocks if programme.convex else ()):
@@ -507,10 +499,8 @@ class _Programme:
         return found
 
     def _energies(self, z: Array, known: bool, ahead: float) -> list[Rows]:
-        """Constrain the cumulative energies of w / g by those of z (or by their tangents at z, if z is not known).
-
-        ``ahead``: initial energy of z in mean samples, for a first guess.
-        """
+        """Constrain the cumulative energies of w / g by those of z, or by their tangents at z if it is not known."""
+        # ``ahead``: initial energy of z in mean samples, for a first guess.
         sparse, p = sparse_matrices(), self.problem
         n, q, n_z = p.n, p.B.shape[1], len(p.C1)
         new = sparse.identity(n, format="csr") - self.before  # increments of a cumulative sum
