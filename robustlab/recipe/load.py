@@ -285,7 +285,6 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
 
 
 def recipe_path(given: str) -> Path:
-    """Return the file of a recipe given by its path, or by the name of a shipped recipe."""
     path = Path(given)
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # `load_recipe` checks it
@@ -365,7 +364,6 @@ def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> Robustlab
 
 
 def step_hint(error: RobustlabError, word: str) -> str | None:
-    """Return the hint of an error as a step of a recipe writes its arguments."""
     if not error.hint:
         return None
     if word in STEPS:

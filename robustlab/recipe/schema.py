@@ -103,7 +103,6 @@ class Recipe(Strict):
 
 
 def recipe_model() -> type[Recipe]:
-    """Return `Recipe` with every registered kind of step, distinguished by ``do``."""
     return _with_kinds(tuple(KINDS.values()))
 
 
