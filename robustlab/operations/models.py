@@ -322,12 +322,10 @@ def _at_pose(plant: Any, pose: list[float]) -> tuple[Any, tuple[Any, ...]]:
     return loaded_model(plant, at) if isinstance(plant, ExtendedPlant) else (rl.linearise(plant, at=at), ())
 
 
-public(
-    "identification.missing_effects.updated_plant.uncertain_from", "uncertain discovery", "uncertain-from",
-    result="dynamics.extended.effect_blocks.EffectBlocks", gives="uncertain", made="model", infer=("", "of"),
+@operation(
+    "uncertain discovery", "uncertain-from", result="dynamics.extended.effect_blocks.EffectBlocks", gives="uncertain",
+    made="model", infer=("", "of"), public="identification.missing_effects.updated_plant.uncertain_from",
     kinds={
-        "found": (Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."),
-        "outputs": Outputs, "sigmas": None, "pade": None,
         "amplitude": (
             Table(Ends(least=0, single=True)),
             "Amplitude of a speed or signal at which effects are described, or LOW:HIGH, NAME=VALUE; repeatable.",
@@ -337,5 +335,21 @@ public(
             "Bounded forces: load, an exact input; gain, of the describing function, as with an amplitude; or both.",
         ),
     },
-    text="Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5",
 )  # fmt: skip
+def uncertain_from(
+    discovery: Annotated[
+        Any, Thing(("plant", "any"), discovery=True), "Folder of data discover --out, or its updated plant."
+    ],
+    outputs: Outputs = None,
+    **options: Any,
+) -> Any:
+    """Uncertain model of the effects and the residual of a discovery; each block has its origin.
+
+    Example: robustlab uncertain discovery found/ --amplitude v=0.05 --out set.h5
+    """
+    try:
+        return rl.uncertain_from(discovery, outputs, **options)
+    except InputError as error:
+        if "amplitude" in (error.expected or "") and error.hint:
+            raise UsageError("uncertain_from", error.found, "--amplitude NAME=VALUE for it", error.hint) from None
+        raise
