@@ -197,7 +197,6 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 
 def split_overrides(items: Sequence[str]) -> dict[str, str]:
-    """Return dotted key -> text of the value. Raises UsageError: an item without ``=``."""
     found: dict[str, str] = {}
     for item in items:
         key, equals, value = item.partition("=")
@@ -372,7 +371,6 @@ def step_hint(error: RobustlabError, word: str) -> str | None:
 
 
 def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
-    """Return a fault for each reference to a file whose object the step does not take."""
     found: list[InputError] = []
     for key, target, wanted in references(step):
         held = ahead[target].value

@@ -175,7 +175,6 @@ def _plain(tree: Tree, node: Tree, problems: Problems, group: str | None, transp
 
 
 def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
-    """Return a warning on signals without units (row 17 of the fault table)."""
     if kind in ("result", "plant"):
         return ()
     if kind == "record":

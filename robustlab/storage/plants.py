@@ -132,7 +132,6 @@ def _plant(tree: Tree, problems: Problems) -> Plant:
 
 
 def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
-    """Return a user's plant from its equations and the signals of its model."""
     from robustlab.dynamics.parameters import Parameter, Role
 
     need(group, problems, groups=("parameters", held, "base"))
