@@ -85,7 +85,6 @@ def emit(command: str, result: Mapping[str, Any], text: str, as_json: bool) -> N
 
 
 def note(text: str) -> None:
-    """Print a remark on stderr."""
     print("\n".join(plain_text(line) for line in text.splitlines()), file=sys.stderr)
 
 
@@ -118,7 +117,6 @@ def shown(
     progress: str, command: str, total: int | None = None, *,
     lines: bool = False, verbose: bool = False, budgets: bool = True,
 ) -> Iterator[Display]:  # fmt: skip
-    """Yield the display in the mode of ``--progress``."""
     from robustlab.budget import listening
 
     if progress not in MODES:
@@ -181,7 +179,6 @@ class Display:
         self._done, self.total, self._text = done, expected, text
 
     def _bar(self) -> None:
-        """Show the bar after a while (run in the thread)."""
         began = time.monotonic()
         if self._over.wait(PATIENCE):
             return
@@ -243,7 +240,6 @@ def ready_streams() -> None:
 
 
 def _print_warning(message: Warning | str, *_where: object, **_more: object) -> None:
-    """Print a warning without the source line that Python would show."""
     _print_error(f"warning: {plain_text(str(message))}")
 
 
@@ -252,7 +248,6 @@ def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def main_guard(run: Callable[[], int | None]) -> int:
-    """Run a command and return its exit code, also of an error."""
     try:
         code = int(run() or 0)
         sys.stdout.flush()
@@ -302,7 +297,6 @@ def _code_of(error: BaseException) -> int:
 
 
 def _user_fault(error: BaseException) -> RobustlabError | None:
-    """Return the fault of a user's plant file that caused the error, or None."""
     loader = sys.modules.get("robustlab.dynamics.plant_file")  # no such file was run where it is not loaded
     if loader is None or not isinstance(error, Exception) or isinstance(error, MemoryError):
         return None

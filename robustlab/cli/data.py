@@ -11,16 +11,7 @@ import typer
 
 import robustlab as rl
 from robustlab.cli.console import FIGURE, SCHEMA, emit, note, save_figures, shown
-from robustlab.cli.generated import (
-    AS_JSON,
-    PROGRESS,
-    READ,
-    Options,
-    add_commands,
-    provenance_of,
-    read_record,
-    taking,
-)
+from robustlab.cli.generated import AS_JSON, PROGRESS, READ, Options, add_commands, provenance_of, read_record, taking
 from robustlab.errors import EnvironmentFault
 
 if TYPE_CHECKING:

@@ -46,10 +46,10 @@ ProgressOption = Annotated[
         "--progress", metavar="WORD", help="auto: a bar on terminals; none.", autocompletion=one_of("auto", "none"),
     ),
 ]  # fmt: skip
-RecipeArgument = Annotated[
-    str,
-    typer.Argument(help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file),
-]
+RECIPE_FILE = typer.Argument(
+    help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file
+)
+RecipeArgument = Annotated[str, RECIPE_FILE]
 ChangesOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NAME=VALUE", help="Change a value: a top-level key or STEP.KEY; repeatable."),
@@ -108,7 +108,6 @@ def add_commands(app: typer.Typer, group: str, *families: str, extended: Mapping
 
 
 def command_of(declared: Operation, private: Options | None = None, more: More | None = None) -> Callable[..., None]:
-    """Return the command of an operation for the parser."""
     words = declared.command
     offered = [p for p in declared.parameters if p.kind.only != "step"]
     things = [(p.kind, p.kind.option) for p in offered if isinstance(p.kind, Thing)]
@@ -155,7 +154,6 @@ def _offering(command: Any, offers: Sequence[Given], own: Options | Sequence[Any
 def answer(
     words: str, chosen: Operation, given: dict[str, Any], shared: Mapping[str, Any], more: More | None = None
 ) -> None:
-    """Read files and options, compute, and print the result."""
     files: list[str] = []
     out, figure = shared.get("out"), shared.get("figure")
     if out is not None and not Path(out).resolve().parent.is_dir():  # checked before the computation
@@ -210,7 +208,6 @@ def answer(
 
 
 def _text(one: InLoop) -> str:
-    """Return the loop, the result's report, the requested tables and the additional results as text."""
     tables = [f"{part.title}\n{text_table(part.rows, part.header)}".lstrip() for part in one.parts if part.rows]
     extras = [
         f"{name}  {found}" if isinstance(found, str) else found.report()
@@ -220,7 +217,6 @@ def _text(one: InLoop) -> str:
 
 
 def _json(one: InLoop) -> Mapping[str, Any]:
-    """Return a result as JSON, without time series, and the additional results by name."""
     result = one.result
     without = {"series": False} if "series" in signature(result.to_json).parameters else {}
     plain = (str, int, float)

@@ -109,7 +109,6 @@ def help_text() -> str:
 
 
 def run_command(arguments: Sequence[str]) -> int:
-    """Run the command that ``arguments`` name; return the exit code."""
     if not arguments:
         print(FIRST_WORDS, end="")
         return 2

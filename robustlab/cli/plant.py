@@ -122,7 +122,6 @@ ROUNDING = 1e-9  # poles below this, relative to the largest, count as zero
 
 
 def _equilibrium(plant: Any, at: Mapping[str, float]) -> tuple[Any, Any, Any]:
-    """Return the equilibrium (None at zero), the linear model there, and the error if there is no such point."""
     from robustlab.dynamics import LinearPlant
 
     if isinstance(plant, LinearPlant):
@@ -188,7 +187,6 @@ def signal_lines(thing: Any) -> list[str]:
 
 
 def parameter_lines(plant: Any) -> list[str]:
-    """Return the table of a plant's parameters, and its effects with theirs."""
     rows = [
         (p.name, f"{p.value:.6g} {p.unit}".strip(), f"+-{p.tolerance_text}" if p.tolerance else "exact", p.role or "-",
          p.meaning or "-", p.source or "-")
@@ -278,7 +276,7 @@ def convert(
     if loaded.kind == "pair":
         raise UsageError(source, "two models, /nominal and /perturbed", "one", "--group nominal, or --group perturbed")
     origin = Provenance.now("model convert", inputs={source: file_sha256(source)})
-    limits = Table(Ends(), words="NAME=LOW:HIGH").read("--saturation", saturation)
+    limits = Table(Ends(), metavar="NAME=LOW:HIGH").read("--saturation", saturation)
     if limits is not None or anti_windup is not None or target.lower().endswith(".c"):
         rl.export_controller(
             target, loaded.object, prefix=prefix, saturation=limits, anti_windup=anti_windup, provenance=origin

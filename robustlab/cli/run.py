@@ -15,9 +15,8 @@ import typer
 from typer.core import TyperGroup
 
 import robustlab as rl
-from robustlab.cli.completion import recipe_or_file
 from robustlab.cli.console import emit, note, result_alone, shown
-from robustlab.cli.generated import ChangesOption, JsonOption, ProgressOption, RecipeArgument
+from robustlab.cli.generated import RECIPE_FILE, ChangesOption, JsonOption, ProgressOption, RecipeArgument
 from robustlab.display import text_table as table
 from robustlab.errors import (
     EXIT_OK,
@@ -51,12 +50,7 @@ REPORT = typer.Typer(cls=_FolderOrCommand)
 
 @RUN.command()
 def run(
-    recipe: Annotated[
-        str | None,
-        typer.Argument(
-            help="A recipe file, or the name of one that comes with robustlab.", autocompletion=recipe_or_file
-        ),
-    ] = None,
+    recipe: Annotated[str | None, RECIPE_FILE] = None,
     listed: Annotated[bool, typer.Option("--list", help="List the recipes that come with robustlab.")] = False,
     changes: ChangesOption = None,
     out: Annotated[
@@ -127,7 +121,6 @@ def run(
 
 
 def _text(result: RunResult) -> str:
-    """Return the judgements of the requirements, and the steps without a trustworthy number."""
     from robustlab.report.html import found_in_words, in_windows_only, verdict_of
 
     data = result.data

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import robustlab as rl
 from robustlab.errors import NoTrustworthyNumber
-from robustlab.operations.common_parameters import Effort, Measured, Moved, Plant, Seed, TimeLimit, UncertainPlant
+from robustlab.operations.common_parameters import Measured, Moved, Plant, UncertainPlant
 from robustlab.operations.declaration import InLoop, operation, public
 from robustlab.operations.parameter_types import Machine, Names, Number, RecordFile, Share, Table, Whole
 
@@ -79,7 +79,7 @@ public(
     result=f"{VALIDATED}validation_result.Validation",
     kinds={
         "uncertain": UncertainPlant, "record": Measured, "noise": Table(Number(least=0), "outputs"), "window": None,
-        "precision": Number(least=1e-4, most=0.2), "effort": Effort, "time_limit": TimeLimit,
+        "precision": Number(least=1e-4, most=0.2),
     },
     text="""Exit code 0: the bounds of gamma are within the precision, or decide whether the set explains the record;
 4: they decide nothing, or no Delta of any size explains the record.
@@ -171,6 +171,6 @@ public(
     kinds={
         "uncertain": UncertainPlant, "n": (Whole(), "Random members."),
         "vertices": (Whole(), "Further members at vertices of the set."), "rate": Number(above=0),
-        "allowance": Table(Number(least=0), "outputs", "record"), "seed": Seed,
+        "allowance": Table(Number(least=0), "outputs", "record"),
     },
 )  # fmt: skip

@@ -258,7 +258,6 @@ def _signature(path: str) -> Iterator[tuple[str, str, ast.expr | None]]:
 
 
 def _value(path: str, default: ast.expr | None) -> Any:
-    """Return a default, which may be a constant of the module."""
     if isinstance(default, ast.Name):
         assigned = (node for node in _tree(path).body if isinstance(node, ast.Assign))
         default = next(node.value for node in assigned if ast.unparse(node.targets[0]) == default.id)
@@ -319,7 +318,6 @@ def _marked(name: str, marks: list[Any], default: Any) -> Parameter:
 
 
 def _kind_of(hint: Any) -> Kind:
-    """Return the kind of a parameter from its type: words, yes or no, a whole number, a number, or a text."""
     if get_origin(hint) is Literal:
         return Choice(get_args(hint))
     inner = [part for part in get_args(hint) if part is not type(None)]

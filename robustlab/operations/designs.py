@@ -101,13 +101,9 @@ def _design(found: Any, system: Any, proved: bool = True) -> InLoop:
 
 
 @operation(
-    "synth hinf",
-    "hinf",
-    result=DESIGN + "HinfSynthesis",
-    public="analysis.hinf_and_gap.hinf",
-    kinds=GAMMA_REL,
+    "synth hinf", "hinf", result=DESIGN + "HinfSynthesis", public="analysis.hinf_and_gap.hinf", kinds=GAMMA_REL,
     **CONTROLLER,
-)
+)  # fmt: skip
 def hinf(system: Plant, *, channels: Channels, nominal: NominalProblem = None, **options: Any) -> Any:
     """H-infinity controller u = K y (positive feedback) of a generalised plant, verified in the loop rebuilt from K.
 
@@ -387,16 +383,21 @@ public(
 )  # fmt: skip
 
 
-@operation("", "robust-performance", result="analysis.performance.PerformanceComparison")
+@operation(
+    "", "robust-performance", result="analysis.performance.PerformanceComparison",
+    public="analysis.performance.compare_performance",
+    kinds={
+        "gain": "The worst-case gain, too.", "points": (Whole(2, 10_000), "Frequencies of the curves in the figure."),
+        "accuracy": (Number(above=0, below=1), "Relative distance to the best proof."),
+    },
+)  # fmt: skip
 def compare_performance(
     system: Annotated[Any, Thing(("problem", "uncertain", "any")), "Tracking problem, or an uncertain model."],
     controllers: Controllers,
     *,
-    accuracy: Annotated[float, Number(above=0, below=1), "Relative distance to the best proof."] = 1e-3,
     search: Search,
-    gain: Annotated[bool, "The worst-case gain, too."] = True,
-    points: Annotated[int, Whole(2, 10_000), "Frequencies of the curves in the figure."] = 120,
     seed: Seed = 0,
+    **options: Any,
 ) -> Any:
     """Robust performance of one problem under several controllers: certified mu, worst-case gain, order."""
     from robustlab.analysis.performance import compare_performance as compared
@@ -406,7 +407,7 @@ def compare_performance(
         raise InputError("robust-performance", f"a {type(system).__name__}", "a tracking problem or an uncertain model")
     models = {name: as_model(K, name) for name, K in controllers.items()}
     loops = {name: (system.close(K), K.n_states) for name, K in models.items()}
-    found = compared(loops, gain=gain, points=points, accuracy=accuracy, seed=seed, **vars(search))
+    found = compared(loops, seed=seed, **vars(search), **options)
     return InLoop(found, extras=found.margins)
 
 

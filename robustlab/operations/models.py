@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import robustlab as rl
 from robustlab.errors import InputError, UsageError
 from robustlab.operations.common_parameters import Controller, Model, Outputs, Sign, System
-from robustlab.operations.declaration import InLoop, operation
+from robustlab.operations.declaration import InLoop, operation, public
 from robustlab.operations.parameter_types import (
     Choice,
     Ends,
@@ -32,6 +32,7 @@ COVERS = (
 )  # fmt: skip
 EXACT = 1e-12  # largest error of the ends of an element-wise set, relative to the largest entry
 NOTHING = "no uncertainty: mu = 0"
+BUILT: Any = {"result": "uncertainty.elementwise.BuiltModel", "gives": "uncertain", "made": "model"}
 ANY = ("plant", "model", "uncertain", "any")
 PLANT = "Name of the plant (dc-motor), file.py:name, or an HDF5 file with one."
 Plant = Annotated[Any, Thing(("plant",), settings=True), PLANT]
@@ -58,7 +59,7 @@ At = Annotated[
 ]
 Pose = Annotated[
     tuple[float, ...] | None,
-    Numbers("", 6, "TX,TY,TZ,AX,AY,AZ", only="command"),
+    Numbers("", 6, metavar="TX,TY,TZ,AX,AY,AZ", only="command"),
     "Pose of a platform in m and rad; home if left out.",
 ]
 
@@ -131,18 +132,12 @@ def check(system: System) -> Any:
     return structure(rl.linearise(system) if isinstance(system, AnyPlant) else system)
 
 
-@operation("", "steady-state", result="linear_analysis.frequency.SteadyState")
-def steady_state(
-    model: Model,
-    inputs: Annotated[
-        dict[str, Any], Table(Number(), "inputs", option="--input-value"), "Constant input, u=42 or u=42V; repeatable."
-    ],
-    outputs: Outputs = None,
-) -> Any:
-    """Outputs in steady state under constant inputs; inputs left out are zero."""
-    from robustlab.linear_analysis.frequency import steady_state as computed
-
-    return computed(model, inputs, outputs)
+public(
+    "linear_analysis.frequency.steady_state", "", "steady-state", result="linear_analysis.frequency.SteadyState",
+    kinds={
+        "model": Model, "inputs": (Table(Number(), "inputs"), "Constant inputs: { u = 42 }."), "outputs": Outputs,
+    },
+)  # fmt: skip
 
 
 @operation("model diff", "difference", result="storage.matrices.Difference")
@@ -164,7 +159,6 @@ def diff(
 
 
 def two_models(first: Any, second: Any) -> tuple[Any, Any]:
-    """Return both models, of two files or of one that holds two."""
     if isinstance(first, Pair):
         if second is not None:
             raise UsageError("two models", "a file of two and another one", "one of them")
@@ -177,14 +171,7 @@ def two_models(first: Any, second: Any) -> tuple[Any, Any]:
 # --- sets -------------------------------------------------------------------------------------------------------------
 
 
-@operation(
-    "uncertain build",
-    "elementwise",
-    result="uncertainty.elementwise.BuiltModel",
-    gives="uncertain",
-    made="model",
-    infer=("nominal", "nominal"),
-)
+@operation("uncertain build", "elementwise", **BUILT, infer=("nominal", "nominal"))
 def elementwise(
     nominal: Annotated[
         Any, Thing(ANY, pair=True, key="nominal"), "Nominal model; or one file with groups nominal and perturbed."
@@ -217,8 +204,7 @@ def elementwise(
     return InLoop(found, notes=notes if model.blocks or notes else (NOTHING,))
 
 
-@operation("uncertain plant", "uncertain", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model",
-      infer=("of", "of"))  # fmt: skip
+@operation("uncertain plant", "uncertain", **BUILT, infer=("of", "of"))
 def uncertain(
     plant: Annotated[Plant, "A plant: its name, file.py:name, or HDF5 file."],
     tolerances: Annotated[
@@ -228,7 +214,7 @@ def uncertain(
     ] = None,
     ranges: Annotated[
         dict[str, Any] | None,
-        Table(Ends(), "parameters", words="NAME=LOW:HIGH", option="--range"),
+        Table(Ends(), "parameters", metavar="NAME=LOW:HIGH", option="--range"),
         "Ends of a parameter of the plant around its value, NAME=LOW:HIGH; repeatable.",
     ] = None,
     own: Annotated[bool, Flag(in_step=False), "Keep the plant's own tolerances of the other parameters."] = True,
@@ -246,8 +232,7 @@ def uncertain(
     from robustlab.dynamics.plant_base import NonlinearPlant, SteppedPlant
     from robustlab.uncertainty.elementwise import BuiltModel
 
-    nominal, shares = plant.values, tolerances or {}
-    ends = ranges or {}
+    nominal, shares, ends = plant.values, tolerances or {}, ranges or {}
     for name in shares:
         if name not in nominal and name not in plant.parameters:
             raise UsageError(f"tolerance {name}", f"no such parameter of {plant.name}", f"one of {', '.join(nominal)}")
@@ -259,15 +244,12 @@ def uncertain(
     if hold and (not isinstance(made, NonlinearPlant) or isinstance(made, SteppedPlant)):
         raise UsageError("hold", f"{plant.name} has one linear model", "it for a nonlinear plant only")
     model = made.uncertain(outputs, **{name: value for name, value in options.items() if value})
-    notes = [*model.remarks]
-    without = {*shares, *ends} - {b.name for b in model.blocks}
-    if without:
-        notes.append(f"without effect on the linear model: {', '.join(sorted(without))}")
-    notes += [] if model.blocks else [NOTHING]
-    return InLoop(BuiltModel(model, "parameters", None), notes=tuple(notes))
+    without = ", ".join(sorted({*shares, *ends} - {b.name for b in model.blocks}))
+    notes = (f"without effect on the linear model: {without}" if without else "", "" if model.blocks else NOTHING)
+    return InLoop(BuiltModel(model, "parameters", None), notes=(*model.remarks, *filter(None, notes)))
 
 
-@operation("uncertain expressions", result="uncertainty.elementwise.BuiltModel", gives="uncertain", made="model")
+@operation("uncertain expressions", **BUILT)
 def expressions(file: Annotated[str, TextFile(), "TOML file with A, B, C, D in named parameters."]) -> Any:
     """Uncertain model from matrices of expressions in parameters with ranges.
 

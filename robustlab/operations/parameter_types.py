@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
@@ -89,7 +89,6 @@ class Number(Kind):
         return amount(option, given, self.unit) if isinstance(given, str) else given
 
     def of_text(self, where: str, text: str, unit: str) -> Any:
-        """Return a value of a `Table`."""
         with _as_usage("no number after =: "):
             return amount(where, text, unit)
 
@@ -106,26 +105,22 @@ class Share(Number):
             return share(where, text)
 
     def field(self) -> Any:
-        from pydantic import ValidationError, WithJsonSchema, WrapValidator
+        from pydantic import BeforeValidator, WithJsonSchema
         from pydantic_core import PydanticCustomError
 
-        def read(value: Any, handler: Any) -> Any:
+        def read(value: Any) -> Any:
             try:
                 number = share("", value)
             except InputError as error:
                 raise PydanticCustomError("share", "expected {expected}", {"expected": error.expected}) from None
-            try:
-                return handler(number)
-            except ValidationError as error:
-                if isinstance(number, (int, float)) and error.errors()[0]["type"] == "less_than":
-                    text = "a share of the value should be less than 1; did you mean {meant}?"
-                    meant = f"{number:g}% = {number / 100:g}"
-                    raise PydanticCustomError("share", text, {"meant": meant}) from None
-                raise
+            if self.below is not None and type(number) in (int, float) and self.below <= number < float("inf"):
+                text = "a share of the value should be less than 1; did you mean {meant}?"
+                raise PydanticCustomError("share", text, {"meant": f"{number:g}% = {number / 100:g}"})
+            return number
 
         limits = {"exclusiveMinimum": 0} | ({} if self.below is None else {"exclusiveMaximum": self.below})
         schema = WithJsonSchema({"anyOf": [{"type": "number", **limits}, {"type": "string", "pattern": "%$"}]})
-        return Annotated[super().field(), WrapValidator(read), schema]
+        return Annotated[super().field(), BeforeValidator(read), schema]
 
 
 @dataclass(frozen=True)
@@ -204,7 +199,6 @@ class Feedback(Kind):
 
 
 def comma_separated(text: str) -> list[str]:
-    """Return ``"a, b"`` as ``["a", "b"]``."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
@@ -254,14 +248,9 @@ class Numbers(Kind):
 
     unit: str = ""
     count: int | None = None
-    words: str = "NUMBER,..."
-
-    @property
-    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.words
+    metavar: str = field(default="NUMBER,...", kw_only=True)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def read(self, option: str, given: Any) -> Any:
-        """Return ``1,10`` or ``2Hz`` as a list, or as a tuple of a fixed length."""
         if given is None:
             return None
         try:
@@ -271,7 +260,7 @@ class Numbers(Kind):
             words = f"numbers{f' in {self.unit}, or with a unit' if self.unit else ''}: {example}"
             raise UsageError(option, repr(given), words) from error
         if self.count is not None and len(found) != self.count:
-            raise UsageError(option, repr(given), f"{self.count} numbers, {self.words}")
+            raise UsageError(option, repr(given), f"{self.count} numbers, {self.metavar}")
         return self.of_field(found)
 
     def field(self) -> Any:
@@ -289,12 +278,8 @@ class Table(Kind):
     value: Number = Number()
     side: Side = ""
     of: str = "of"
-    words: str = "NAME=VALUE"
+    metavar: str = field(default="NAME=VALUE", kw_only=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     taken = list[str]
-
-    @property
-    def metavar(self) -> str | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.words
 
     def read(self, option: str, given: list[str] | None, units: Mapping[str, str] | None = None) -> Any:
         """Return the table, None if empty. ``units``: name -> unit that its value is converted to."""
@@ -303,7 +288,7 @@ class Table(Kind):
             where, (name, equals, value) = f"{option} {text}", text.rpartition("=")
             # `share` reports an empty value itself.
             if not (name and equals) or not (value or isinstance(self.value, Share)):
-                raise UsageError(where, "no name and value", self.words)
+                raise UsageError(where, "no name and value", self.metavar)
             if name in found:
                 raise UsageError(where, f"{name!r} is given twice", "each name once")
             found[name] = self.value.of_text(where, value, (units or {}).get(name, ""))
@@ -325,7 +310,6 @@ class Weight(Kind):
     metavar = "WEIGHT"
 
     def read(self, option: str, given: Any) -> Any:
-        """Return the number, or the model that the function makes."""
         if given is None:
             return None
         if "=" not in given:
@@ -419,7 +403,6 @@ class Thing(Kind):
         return "PLANT" if self.gives == ("plant",) else "FILE"
 
     def field(self) -> Any:
-        """Return the type of a reference to an earlier step."""
         name = Annotated[str, self]
         taken: Any = list[name] if self.many or self.named else name
         return float | taken if self.number else taken

@@ -145,13 +145,7 @@ def worst_case_gain(
 
 @operation("performance-margin", "performance-margin", result="mu_analysis.axis.margin.PerformanceMargin")
 def robust_performance(
-    system: Uncertain,
-    *,
-    around: Loop,
-    signals: Signals,
-    search: Search,
-    seed: Seed = 0,
-    drawn: bool = False,
+    system: Uncertain, *, around: Loop, signals: Signals, search: Search, seed: Seed = 0, drawn: bool = False
 ) -> Any:
     """Robust performance margin of weighted inputs and outputs.
 

@@ -56,7 +56,6 @@ class Excitation:
     points: Points = 401
 
     def of(self, uncertain: Any) -> dict[str, Any]:
-        """Return times and inputs of a response as keyword arguments."""
         import numpy as np
 
         if not isinstance(uncertain, rl.UncertainModel):
@@ -133,16 +132,15 @@ def show(uncertain: Uncertain) -> Any:
     return InLoop(uncertain, extras={"nominal": nominal, "nominal_spectral_abscissa": nominal.spectral_abscissa()})
 
 
-class Vertices(Kind):
+class Vertices(Whole):
     """A number of vertices; in a command also ``all``."""
+
+    taken = str
 
     def read(self, option: str, given: Any) -> Any:
         if given != "all" and not given.isdecimal():
             raise UsageError(option, given, "a whole number, or all")
         return given if given == "all" else int(given)
-
-    def field(self) -> Any:
-        return Whole().field()
 
 
 @operation("uncertain sample", "sample", result="worst_case_analysis.sampling.Responses")
@@ -173,21 +171,10 @@ Store = Annotated[str, TextFile(), STORE]
 Bound = Annotated[float | None, Number(), "Count how often the metric is worse than this."]
 
 
-@dataclass(frozen=True)
-class WorkerOptions:
-    """The processes that compute."""
-
-    workers: Annotated[
-        int | None,
-        Whole(1, 1024, option="--workers,-w"),
-        "Processes on this machine; one per processor where left out.",
-    ] = None
-    cluster: Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."] = None
-
-    def options(self) -> Any:
-        from robustlab.campaign import WorkerOptions
-
-        return WorkerOptions(self.workers, self.cluster)
+Workers = Annotated[
+    int | None, Whole(1, 1024, option="--workers,-w"), "Processes on this machine; one per processor where left out."
+]
+Cluster = Annotated[str | None, "Dask scheduler whose workers are used, such as tcp://host:8786."]
 
 
 @contextmanager
@@ -224,7 +211,8 @@ def campaign(
     kind: Annotated[Literal["samples", "vertices", "search"], "What is drawn."] = "samples",
     starts: Annotated[int, Whole(1), "For searches: points each one starts from."] = 64,
     seed: Seed = 0,
-    workers: WorkerOptions,
+    workers: Workers = None,
+    cluster: Cluster = None,
     restart: Annotated[bool, "Delete the content of the store and start again."] = False,
     limit: Bound = None,
     progress: Any = None,
@@ -236,7 +224,7 @@ def campaign(
 
     Example: robustlab campaign run motor.h5 --outputs omega --input-value u=42 --t-end 0.1 -n 100000 --store m.sqlite
     """
-    from robustlab.campaign import CampaignSettings, run_campaign
+    from robustlab.campaign import CampaignSettings, WorkerOptions, run_campaign
 
     u, hold = drive.of(uncertain)["u"], "zoh"
     if drive.sine:  # not a constant: sample by sample
@@ -247,26 +235,23 @@ def campaign(
     )  # fmt: skip
     with _counted(progress, store, n) as advance:
         return run_campaign(
-            uncertain,
-            settings,
-            store,
-            existing="restart" if restart else "resume",
-            workers=workers.options(),
-            limit=limit,
-            progress=advance,
-        )
+            uncertain, settings, store, existing="restart" if restart else "resume",
+            workers=WorkerOptions(workers, cluster), limit=limit, progress=advance,
+        )  # fmt: skip
 
 
 @operation("campaign resume", result=RESULT, progress="steps")
-def resume(store: Store, *, workers: WorkerOptions, limit: Bound = None, progress: Any = None) -> Any:
+def resume(
+    store: Store, *, workers: Workers = None, cluster: Cluster = None, limit: Bound = None, progress: Any = None
+) -> Any:
     """Continue an interrupted campaign; model and settings are in the store.
 
     Example: robustlab campaign resume motor.sqlite --workers 2
     """
-    from robustlab.campaign import resume_campaign, saved_samples
+    from robustlab.campaign import WorkerOptions, resume_campaign, saved_samples
 
     with _counted(progress, store, saved_samples(store)[1]) as advance:
-        return resume_campaign(store, workers=workers.options(), limit=limit, progress=advance)
+        return resume_campaign(store, workers=WorkerOptions(workers, cluster), limit=limit, progress=advance)
 
 
 public(

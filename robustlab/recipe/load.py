@@ -197,7 +197,6 @@ def _metadata(annotation: Any) -> Iterator[Any]:
 
 
 def split_overrides(items: Sequence[str]) -> dict[str, str]:
-    """Return dotted key -> text of the value. Raises UsageError: an item without ``=``."""
     found: dict[str, str] = {}
     for item in items:
         key, equals, value = item.partition("=")
@@ -285,7 +284,6 @@ def _find(where: str, given: str, folder: Path, typed: bool, about: str) -> Path
 
 
 def recipe_path(given: str) -> Path:
-    """Return the file of a recipe given by its path, or by the name of a shipped recipe."""
     path = Path(given)
     if path.is_file() or path.suffix or len(path.parts) > 1:
         return path  # `load_recipe` checks it
@@ -365,7 +363,6 @@ def at_step(error: RobustlabError, loaded: LoadedRecipe, name: str) -> Robustlab
 
 
 def step_hint(error: RobustlabError, word: str) -> str | None:
-    """Return the hint of an error as a step of a recipe writes its arguments."""
     if not error.hint:
         return None
     if word in STEPS:
@@ -374,7 +371,6 @@ def step_hint(error: RobustlabError, word: str) -> str | None:
 
 
 def _wrong_kinds(step: Step, ahead: Ahead) -> list[InputError]:
-    """Return a fault for each reference to a file whose object the step does not take."""
     found: list[InputError] = []
     for key, target, wanted in references(step):
         held = ahead[target].value

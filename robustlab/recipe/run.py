@@ -205,7 +205,6 @@ def _run_steps(loaded: LoadedRecipe, work: Workspace, report: Callable[[str, str
 
 
 def _entry(name: str, step: Step, **more: Any) -> dict[str, Any]:
-    """Return the entry of a step; without further keys that of a step that gave nothing."""
     empty: dict[str, Any] = {
         "status": NOT_RUN, "trustworthy": False, "summary": "", "error": "", "numbers": {}, "facts": [], "notes": [],
         "text": "", "figures": [], "seconds": 0.0,
@@ -279,15 +278,10 @@ def _files_of_previous_run(target: Path) -> set[str]:
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
-    """Return the content of ``result.json`` of a run."""
     path = Path(folder) / "result.json"
     where = str(path)
-    try:
-        require_file(path)
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(where, f"not readable: {error}", "the JSON that robustlab run wrote") from None
-    data = parse_document("json", raw, where)
+    require_file(path)
+    data = parse_document("json", path.read_bytes(), where)
     if not isinstance(data, dict) or data.get("schema") != "robustlab.result/1" or data.get("command") != "run":
         raise InputError(where, "not the result of a run", "the result.json that robustlab run wrote")
     _check_parts({"ending": ending_of(data), **data}, RESULT_PARTS, "", where)
@@ -308,14 +302,14 @@ def _check_parts(data: Any, parts: Any, at: str, where: str) -> None:
 LONGEST_SLUG = 40  # characters; longer settings are named by their hash
 
 
-def default_folder(loaded: LoadedRecipe, root: str | Path = "out") -> Path:
-    """Return ``NAME`` below ``root``; changed settings are added, as ``first-light-seed-7``, or their hash."""
+def default_folder(loaded: LoadedRecipe) -> Path:
+    """Return ``out/NAME``; changed settings are added, as ``first-light-seed-7``, or their hash."""
     name, changes = loaded.recipe.name, sorted(loaded.overrides.items())
     if not changes:
-        return Path(root) / name
+        return Path("out", name)
     slug = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", f"{key}-{value}").strip("-.") for key, value in changes)
     mark = hashlib.sha256(repr(changes).encode()).hexdigest()[:8]
-    return Path(root) / f"{name}-{slug if 0 < len(slug) <= LONGEST_SLUG else mark}"
+    return Path("out", f"{name}-{slug if 0 < len(slug) <= LONGEST_SLUG else mark}")
 
 
 def verified(outcome: Outcome, files: Sequence[Path], required: bool) -> Outcome:

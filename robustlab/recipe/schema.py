@@ -95,15 +95,13 @@ class Recipe(Strict):
     description: Annotated[str, Field(max_length=10_000)] = ""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     verify: bool = Field(
-        False,
-        description="Verify the results of all steps again, from the files that the run writes; see rl.verify.",
+        False, description="Verify the results of all steps again, from the files that the run writes; see rl.verify."
     )
     step: dict[StepName, Step]
     require: Annotated[list[Requirement], Field(max_length=1000)] = Field([])
 
 
 def recipe_model() -> type[Recipe]:
-    """Return `Recipe` with every registered kind of step, distinguished by ``do``."""
     return _with_kinds(tuple(KINDS.values()))
 
 

@@ -61,7 +61,6 @@ def encode_delayed(tree: Tree, model: Any) -> None:
 
 
 def decode_delayed(tree: Tree, problems: Problems, transpose: bool) -> Any:
-    """Invert `encode_delayed`."""
     from robustlab.delays.model import DelayedModel
 
     need(tree, problems, groups=("H",), datasets=("delays",))
@@ -107,7 +106,6 @@ def decode_uncertain(tree: Tree, problems: Problems, transpose: bool = False) ->
 
 
 def decode_blocks(tree: Tree, problems: Problems) -> tuple[Block, ...]:
-    """Invert `encode_blocks`; add faults to ``problems``."""
     from robustlab.uncertainty.blocks import KINDS
 
     group = tree.groups["blocks"]
@@ -160,7 +158,6 @@ def encode_frequency_data(tree: Tree, data: Any) -> None:
 
 
 def decode_frequency_data(tree: Tree, problems: Problems, _transpose: bool = False) -> Any:
-    """Invert `encode_frequency_data`."""
     from robustlab.uncertainty.frequency_responses import UncertainFrequencyData
 
     need(tree, problems, groups=("blocks",), datasets=("omega", "M"))
@@ -402,7 +399,6 @@ class LoadedResult(Result):
 
 
 def restored(kind: str, status: Status, data: Mapping[str, Any]) -> LoadedResult:
-    """Return a result whose class has the name of the saved one."""
     return _class(kind)(kind, status, data)
 
 

@@ -102,7 +102,6 @@ def c_source(
     anti_windup: float | None = None,
     feed_forward: FeedForward | None = None,
 ) -> str:
-    """Return the C99 source of a discrete model."""
     if not model.is_discrete:
         hint = "discretise it with its sample time first"
         raise InputError("C export", "a continuous controller (dt = 0)", "a discrete one", hint)
@@ -137,7 +136,6 @@ def c_source(
 
 
 def _place_feed_forward(model: StateSpaceModel, law: FeedForward) -> dict[str, Any]:
-    """Return a feed-forward, the output that it is added to, and the input that is its reference."""
     names, wanted = model.output_names, law.position
     if law.input.name not in names:
         raise InputError("C export: feed-forward", f"of {law.input.name!r}", f"one of {', '.join(names)}")
@@ -174,7 +172,6 @@ def _terms(*rows: Array) -> list[tuple[float, str]]:
 
 
 def _sign(signal: Signal, inputs: Sequence[Signal]) -> list[str]:
-    """Return lines of the comment on an input and its sign."""
     if not isinstance(signal, Taken):
         return ["SIGN NOT STATED by what this was written from: find out how the loop is closed, before it moves"]
     if signal.takes in SIGNS:

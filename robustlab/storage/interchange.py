@@ -13,7 +13,7 @@ import numpy as np
 
 from robustlab.errors import InputError, UsageError, did_you_mean, error_context
 from robustlab.files.atomic import atomic_write
-from robustlab.files.file_types import Limits, content_of, parse_document
+from robustlab.files.file_types import Limits, content_of, parse_document, require_file
 from robustlab.files.hdf5 import read_tree, write_tree
 from robustlab.files.tree import Tree, check_header, decode_provenance, is_stamped, stamp
 from robustlab.provenance import BY_DIFFERENCES, NOT_VERIFIED, Provenance, Traced, code_of
@@ -117,7 +117,6 @@ def is_plant_file(name: str) -> bool:
 
 
 def load_plant(path: str) -> Any:
-    """Return the plant in a file. Raises InputError: the file holds another object."""
     from robustlab.dynamics.plant_base import Plant
 
     found = load(path)
@@ -176,7 +175,6 @@ def _plain(tree: Tree, node: Tree, problems: Problems, group: str | None, transp
 
 
 def _unit_warnings(kind: str, thing: Any) -> tuple[str, ...]:
-    """Return a warning on signals without units (row 17 of the fault table)."""
     if kind in ("result", "plant"):
         return ()
     if kind == "record":
@@ -293,12 +291,8 @@ def load_parametric(path: str | Path) -> UncertainModel:
     from robustlab.uncertainty.parametric import parametric
 
     where = str(path)
-    if not Path(path).is_file():
-        raise InputError(where, "no such file", "a .toml file with matrices of expressions")
-    raw = Path(path).read_bytes()
-    if len(raw) > MAX_BYTES:
-        raise InputError(where, f"{len(raw)} bytes", f"at most {MAX_BYTES}")
-    data = parse_document("toml", raw, where)
+    require_file(path, Limits(file=MAX_BYTES))
+    data = parse_document("toml", Path(path).read_bytes(), where)
     unknown = [key for key in data if key not in KEYS]
     if unknown:
         hint = did_you_mean(unknown[0], KEYS)

@@ -34,7 +34,6 @@ class Problems:
         self.hint = self.hint or hint
 
     def absorb(self, error: InputError) -> None:
-        """Add the error of a constructor."""
         where = error.where.removeprefix(f"{self.file}: ").removeprefix(self.file)
         text = f"{error.found}" + (f", expected {error.expected}" if error.expected else "")
         self.add(f"{where}: {text}" if where else text, error.hint)
@@ -137,7 +136,6 @@ def _eliminated(
 
 
 def decode_state_space(tree: Tree, problems: Problems, transpose: bool = False) -> StateSpaceModel:
-    """Invert `encode_state_space`. Raises InputError: with all faults."""
     model = decode_model(tree, problems, transpose)
     problems.raise_any()
     assert model is not None
@@ -166,7 +164,6 @@ def find_children(
 
 
 def need(tree: Tree, problems: Problems, groups: Sequence[str] = (), datasets: Sequence[str] = ()) -> None:
-    """Raise where a group or a dataset is missing."""
     find_children(tree, datasets, problems)
     find_children(tree, groups, problems, kind="group")
     problems.raise_any()

@@ -82,7 +82,6 @@ def encode_plant(tree: Tree, obj: Plant) -> None:
 
 
 def decode_plant(tree: Tree, problems: Problems, _transpose: bool = False) -> Plant:
-    """Invert `encode_plant`."""
     known = ("effects", "signals", "operating_point", "provenance", *"ABCD")
     matrices.find_children(tree, ("plant",), problems, known, "group")
     model = matrices.decode_model(tree, problems)
@@ -97,7 +96,6 @@ def _options(base: Plant) -> dict[str, Any]:
 
 
 def _is_rebuilt(base: Plant) -> bool:
-    """Return whether name, options and parameters rebuild the same plant."""
     from robustlab.dynamics import builtin_plant, plant_names
     from robustlab.dynamics.linear_plant import LinearPlant
 
@@ -134,7 +132,6 @@ def _plant(tree: Tree, problems: Problems) -> Plant:
 
 
 def _own_plant(group: Tree, held: str, problems: Problems) -> Plant:
-    """Return a user's plant from its equations and the signals of its model."""
     from robustlab.dynamics.parameters import Parameter, Role
 
     need(group, problems, groups=("parameters", held, "base"))
@@ -178,7 +175,6 @@ def _coefficients(held: Tree, parameters: Mapping[str, Parameter], problems: Pro
 
 
 def _tapes(held: Tree, n_moving: int, n_parameters: int, problems: Problems) -> Equations:
-    """Return the equations of rows of numbers, for a number of states and inputs, and of parameters."""
     from robustlab.dynamics.symbolic.symbolic_plant import Equations, Tape
 
     need(held, problems, groups=(*TAPES, "places"))

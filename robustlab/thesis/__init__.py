@@ -2,10 +2,4 @@
 
 from robustlab.public_names import lazily
 
-__all__, __getattr__ = lazily(
-    __name__,
-    {
-        "numbers": "PublishedNumber published_numbers",
-        "figures": "case_figure",
-    },
-)
+__all__, __getattr__ = lazily(__name__, {"numbers": "PublishedNumber published_numbers", "figures": "case_figure"})

@@ -56,7 +56,6 @@ def lines(values: Array, names: Sequence[str], scale: float = 1e3) -> Curves:
 
 
 def sine_figure(run: SineRun, until: float) -> Figure:
-    """Draw torque, height, and angle and rate of nut 1, nonlinear and linear, up to ``until`` in s."""
     t, angle_gap, rate_gap = run.percent(until)
     n = len(t)
     torque = 1e3 * run.amplitude * np.sin(2 * np.pi * run.frequency * t)
@@ -100,11 +99,7 @@ def case_figure(
     published: float,
     title: str,
 ) -> Figure:
-    """Draw nominal, worst and random members, a row for each output.
-
-    ``t``: times in s, shape (n_t,). ``members``, ``nominal``, ``worst``: responses, shapes (n_members, n_t, n_y), (n_t,
-    n_y), (n_t, n_y). ``outputs``: n_y names and units. ``published``: published band of the change in percent.
-    """
+    """Draw nominal, worst and random members (n_members, n_t, n_y), and the published band of the change in percent."""
     figure, panels = new_figure(len(outputs), 2, width=9.4, height=2.7)
     label = f"{len(members)} random members"
     with house_style():
@@ -140,7 +135,6 @@ LINKS = [f"link {i + 1}" for i in range(6)]
 
 
 def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
-    """Draw reference and simulated position, orientation and actuator lengths; ``lengths``: reference (n, 6) in m."""
     home = run.reference[0]
     rows = (
         ((run.reference - home)[:, :3], (run.pose - home)[:, :3], "from home [mm]", ["x", "y", "z"]),
@@ -155,7 +149,6 @@ def tracking_path_figure(run: TrajectoryFollowing, lengths: Array) -> Figure:
 
 
 def tracking_error_figure(run: TrajectoryFollowing) -> Figure:
-    """Draw errors of position and orientation over time, and torques and voltages of the six motors."""
     panels: list[tuple[str, Curves]] = [
         ("position error [mm]", lines(run.error[:, :3], ["x", "y", "z"])),
         ("orientation error [mrad]", lines(run.error[:, 3:], ["about x", "about y", "about z"])),

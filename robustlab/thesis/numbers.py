@@ -139,7 +139,6 @@ class Case:
 
     @property
     def largest_percent(self) -> float:
-        """Largest change of the angle of nut 1 at the worst Delta in percent."""
         return abs(self.changes()[self.worst < 0])
 
     @property
@@ -155,7 +154,6 @@ class Case:
 
     @property
     def worst_in_words(self) -> str:
-        """The worst Delta, the changes at both ends, and the thesis' worst Delta."""
         plus, minus = self.changes()
         why = "; equally bad to four digits, there the nut moves further" if self.tie else ""
         text = f"worst Δ = {SIGNED[self.worst]} (+I {plus:+.4g} %, -I {minus:+.4g} %{why})"
@@ -247,7 +245,6 @@ class PublishedNumbers:
 
     @property
     def disagreeing(self) -> list[str]:
-        """Keys of the rows with status R or F that do not agree."""
         return [row.key for row in (*self.with_status("R"), *self.with_status("F")) if row.agrees is not True]
 
     def to_json(self) -> dict[str, Any]:
@@ -318,7 +315,6 @@ def _speed_motor(**parameters: float) -> Any:
 
 
 def _no_load(**parameters: float) -> tuple[float, float]:
-    """Return speed in rad/s and current in A of the motor without load at 42 V."""
     speed, current = 42.0 * _speed_motor(**parameters).dc_gain()[:, 0]
     return float(speed), float(current)
 

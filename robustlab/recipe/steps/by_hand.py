@@ -61,8 +61,7 @@ class PlantStep(Step):
         {}, description='Values in SI units, [value, relative tolerance], or texts: "0.5 mH", "10%".'
     )
     choices: dict[str, str | bool | list[float]] = Field(
-        {},
-        description='Options beyond numbers: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.',
+        {}, description='Options beyond numbers: preset = "physical", motors = true, m = [1.0, 2.0] for a chain.'
     )
 
     @model_validator(mode="after")

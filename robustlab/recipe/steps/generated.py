@@ -10,17 +10,7 @@ from pydantic import Field, create_model
 from robustlab.display import Displayable
 from robustlab.operations.declaration import STEPS, InLoop, Operation, every_operation
 from robustlab.operations.parameter_types import RecordFile, Thing
-from robustlab.recipe.steps.step import (
-    Ahead,
-    Fact,
-    Inferred,
-    Outcome,
-    Step,
-    Workspace,
-    facts_of,
-    step,
-    with_signals,
-)
+from robustlab.recipe.steps.step import Ahead, Fact, Inferred, Outcome, Step, Workspace, facts_of, step, with_signals
 from robustlab.record import Record
 from robustlab.signals import Signal
 
@@ -63,7 +53,6 @@ class OperationStep(Step):
         return given[0] if isinstance(given, list) else given
 
     def pattern(self, ahead: Ahead) -> Any:
-        """Return the names for requirements; a kind of step may know more than its result's class."""
         return self.leaves
 
     def _records(self) -> list[str]:
@@ -88,7 +77,6 @@ class OperationStep(Step):
         return values
 
     def outcome(self, found: InLoop, work: Workspace) -> Outcome:
-        """Save and draw the result, and return its outcome."""
         result = found.result
         if self.declared.made or self.gives == "nothing":  # a model alone is no evidence
             for part, one in (("", result), *found.extras.items()):

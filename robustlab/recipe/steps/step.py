@@ -52,7 +52,6 @@ class Inferred:
 
     @classmethod
     def of(cls, value: Any, leaves: Any = ...) -> Inferred:
-        """Return what is known of a step whose value is known."""
         if isinstance(value, rl.Record):
             inputs, outputs = ({n: value.unit(n) for n in side} for side in (value.inputs, value.outputs))
             return cls(value, inputs, outputs, leaves)
@@ -109,7 +108,6 @@ class Step(Strict):
         return Inferred()
 
     def run(self, work: Workspace) -> Outcome:
-        """Run the step."""
         raise NotImplementedError(self.kind)
 
     def in_free_run(self, path: str) -> str | None:

@@ -99,7 +99,7 @@ def test_families_declare_operations_without_numerical_libraries() -> None:
     ("kind", "text"),
     [
         (Numbers("rad/s"), "1,x"),
-        (Numbers("rad/s", 2, "LOW,HIGH"), "1"),
+        (Numbers("rad/s", 2, metavar="LOW,HIGH"), "1"),
         (Table(), ["a"]),
         (Table(), ["a=1", "a=2"]),
         (Choice(("a", "b")), "c"),
