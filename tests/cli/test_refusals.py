@@ -83,7 +83,7 @@ REFUSED = [
     (f"{WORST} --outputs omega --input-value u=42%", 2, "'42%', expected a number in V"),
     (f"{LIMIT} --limit '9 rad'", 3, "'9 rad', expected a number in rad/s"),
     (f"{LIMIT} --limit nan", 3, "a finite number"),
-    (f"{LIMIT} --limit 9 -n 0", 3, "samples from 1"),
+    (f"{LIMIT} --limit 9 -n 0", 3, "a whole number from 1"),
     (f"{LIMIT} --probability 0.1", 2, "--limit"),
     ("synth hinf p.h5 --measurements 1", 2, "channels"),
     ("synth hinf p.h5 --measurements 1 --controls 1 --controls u", 2, "channels"),

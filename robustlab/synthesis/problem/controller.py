@@ -71,7 +71,7 @@ class Controller(Displayable, Traced):
         return self.K
 
     def facts(self) -> Facts:
-        said = self.law or "not known: say it where a loop is closed"
+        said = self.law or "not known: state it when closing a loop"
         return [("gamma", number(self.gamma, digits=6)), ("method", self.method), ("loop", said), *self.K.facts()]
 
     def to_json(self) -> dict[str, object]:

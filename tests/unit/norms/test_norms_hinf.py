@@ -334,7 +334,7 @@ BANDS = ((2.0, 1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, 40.0), (np.nan, 1.0), (1.0,)
         (lambda: rl.peak_gain(made.first_order(), band=(1.0, 2.0)), "band: given for an uncertain model, expected it"),
         (lambda: rl.peak_gain(LAG, LAG), r"close the loop first: G.feedback\(K\)"),
         (lambda: rl.peak_gain(LAG, lyapunov="constant"), "expected it for an LPV model"),
-        (lambda: rl.peak_gain(LAG, time_limit=1.0), "an uncertain model, blocks with block_types, an LPV model"),
+        (lambda: rl.peak_gain(LAG, time_limit=1.0), "an uncertain model, blocks with types, an LPV model"),
         (lambda: rl.peak_gain(made.first_order(), norm="hinf"), "norm: given for an uncertain model"),
         (lambda: rl.peak_gain(LAG, norm="h2"), "'hinf' or 'linf'"),
         (lambda: rl.peak_gain(LAG, norm="hinf", band=(1.0, 2.0)), "norm='linf': the peak in the band"),
