@@ -300,7 +300,7 @@ def cover_parts(
             continue  # a block in no cycle: its mu is 0
         w, z = entries(blocks, members)
         part = StateSpaceModel(model.A, model.B[:, w], model.C[z], model.D[z[:, None], w])
-        some = [blocks[i] for i in members]
+        some = [blocks[int(i)] for i in members]
         cover = cover_axis(part, some, beta, first=first, budget=budget, accuracy=accuracy)
         whole.pieces += [replace(piece, members=tuple(int(i) for i in members)) for piece in cover.pieces]
         whole.open += cover.open

@@ -338,7 +338,7 @@ def directions(model: StateSpaceModel, deltas: ComplexArray, aims: ComplexArray)
     k = np.abs(values - aims[:, None]).argmin(axis=1)
     index = np.arange(len(deltas))
     # Rows of V^-1 are the left eigenvectors with u v = 1; the shift keeps defective cases solvable.
-    u = np.linalg.inv(right + 1e-13 * np.eye(right.shape[-1]))[index, k]
+    u: Any = np.linalg.inv(right + 1e-13 * np.eye(right.shape[-1]))[index, k]
     v = right[index, :, k]
     return Directions(values[index, k], u, v, *_gradient(model, deltas, loop_inverse, u, v))
 

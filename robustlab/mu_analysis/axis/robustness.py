@@ -118,12 +118,17 @@ class _Search:
     boxes: list[tuple[Box, Piece]] = field(default_factory=list)
     hot: float | None = None  # where branch and bound begins
 
-    # Proves a level by constant D, G; takes a member that branch and bound has found; returns the set of a level on
-    # the whole axis; searches for a worse member in a region.
+    # Proves a level by constant D, G; takes a member that branch and bound has found.
     over_the_axis: ClassVar[Callable[..., None]]
     take_member: ClassVar[Callable[..., None]]
-    root: ClassVar[Callable[..., Region]]
-    attack: ClassVar[Callable[..., Improved | None]]
+
+    def root(self, level: float) -> Region:
+        """Return the set of a level on the whole axis."""
+        raise NotImplementedError
+
+    def attack(self, region: Region, level: float, budget: Budget) -> Improved | None:
+        """Search for a worse member in a region."""
+        raise NotImplementedError
 
     def better_member(self, budget: Budget) -> Improved | None:
         """Search for a worse member by another method, if there is one."""
