@@ -59,7 +59,10 @@ def care(
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):
             gain = -np.linalg.solve(r, b.T @ X + s.T)
-            return _weighed(a.T @ X, (X @ b + s) @ gain, q, a + b @ gain)
+            quadratic = (X @ b + s) @ gain
+            size = 2 * np.linalg.norm(a.T @ X) + np.linalg.norm(q) + np.linalg.norm(quadratic)
+            left = a.T @ X + X @ a + q + quadratic
+            return a + b @ gain, left, float(np.linalg.norm(left) / size) if size else 0.0
 
     X = _stable_graph(*whole)
     if X is None or not _is_stable(weighed(X)[0]):
@@ -109,16 +112,13 @@ def hamiltonian_riccati(A: AnyArray, G: AnyArray, Q: AnyArray, *, tolerance: flo
 
     def weighed(X: AnyArray) -> Weighed:
         with np.errstate(over="ignore", invalid="ignore"):  # NaN counts as a large residual
-            return _weighed(A.T @ X, -X @ G @ X, Q, A - G @ X)
+            linear, quadratic = A.T @ X, X @ G @ X
+            size = 2 * np.linalg.norm(linear) + np.linalg.norm(Q) + np.linalg.norm(quadratic)
+            left = linear + linear.T - quadratic + Q
+            return A - G @ X, left, float(np.linalg.norm(left) / size) if size else 0.0
 
     X, residual = _refined(X, weighed)  # the first one is stable: the Schur form was ordered
     return X if residual <= tolerance else None
-
-
-def _weighed(linear: AnyArray, quadratic: AnyArray, known: AnyArray, loop: AnyArray) -> Weighed:
-    left = linear + linear.T + quadratic + known
-    size = 2 * np.linalg.norm(linear) + np.linalg.norm(known) + np.linalg.norm(quadratic)
-    return loop, left, float(np.linalg.norm(left) / size) if size else 0.0
 
 
 def _matrices(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, S: ArrayLike | None) -> list[Array]:

@@ -47,16 +47,12 @@ def test_chapter_11(tmp_path):
     assert shares["cover_wide"] == 1.0
     assert (result.folder / "evidence/cover_six.h5").is_file()
     assert (result.folder / "figures/cover_wide_rich-phi-rate.svg").is_file()
-    # the table of docs/covering.md
-    table = (ROOT / "docs/covering.md").read_text(encoding="utf-8")
-    for name in ("cover_11_1", "cover_11_2", "cover_six"):
-        assert f"| {numbers(result, name)['signals']['phi']['miss_percent']:.1f} % |" in table
 
 
 def test_the_code_of_the_page_runs(monkeypatch, capsys):
     monkeypatch.chdir(ROOT)
-    text = (ROOT / "docs/covering.md").read_text(encoding="utf-8")
-    names: dict[str, object] = {}
-    for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
-        exec(block, names)
-    assert "inside the envelope" in capsys.readouterr().out
+    text = (ROOT / "docs/cover.md").read_text(encoding="utf-8")
+    (block,) = (b for b in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL) if "jig_square" in b)
+    exec(block, {"rl": rl})
+    share, miss = map(float, capsys.readouterr().out.split())
+    assert share < 0.05 and 10.0 < miss < 12.0  # percent; the thesis' tolerance of 35 % does not cover the record

@@ -25,7 +25,7 @@ ONES = np.ones(5)
         ("dc-motor", {"L": np.array([1.0, 2.0])}, "a real number"),
         ("dc-motor", {"R": (2.07, 10)}, "did you mean 10% = 0.1?"),
         ("dc-motor", {"Km": (0.052, 5.0)}, "from -0.208 to 0.312 N m/A.*did you mean 5% = 0.05?"),
-        ("dc-motor", {"Kb": (-0.052, 1.0)}, "keep the sign"),
+        ("dc-motor", {"Kb": (-0.052, 1.0)}, "must not change its sign"),
         ("servo-axis", {"gain": (35.0, 5)}, "did you mean 5% = 0.05?"),
         ("dc-motor", {"Km": (0.052, "5 V")}, "'5 V', expected a share of the value"),
         ("dc-motor", {"Km": "5%"}, "Km: '5%', expected a number in N m/A"),

@@ -199,8 +199,8 @@ FULL = UncertainModel(StateSpaceModel([], [], [], np.ones((3, 3))), [FullBlock("
 DYNAMIC = UncertainModel(StateSpaceModel([], [], [], [[0.5, 1.0], [1.0, 1.0]]), [ComplexScalar("c")])
 OPERANDS = [
     (lambda: K + UncertainModel(K.M, [ComplexScalar("k")]), r"'k'.*RealScalar in one operand and a ComplexScalar"),
-    (lambda: K + gain_of("k", 1.0, 0.4), r"'k'.*in one operand and for"),
-    (lambda: K @ UncertainModel(K.M, [RealScalar("k")]), r"'k'.*in one operand and for"),
+    (lambda: K + gain_of("k", 1.0, 0.4), r"'k'.*in one operand and"),
+    (lambda: K @ UncertainModel(K.M, [RealScalar("k")]), r"'k'.*in one operand and"),
     (lambda: FULL + FULL, r"'d'.*full block in several operands"),
     (lambda: K @ np.ones((2, 1)), "2 outputs into 1 inputs"),
     (lambda: K + np.eye(2), "equal sizes"),

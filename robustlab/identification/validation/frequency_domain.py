@@ -53,8 +53,16 @@ FLOOR = 1e-9  # a multiplier of this share of the largest makes the Lagrangian o
 class FrequencyData(Tabular, Evidence):
     """A measured frequency response of one input.
 
-    ``omega``: frequencies in rad/s, (n,), increasing. ``response``: complex, (n, n_y), in units of output per input.
-    ``input``, ``outputs``: the driven input and the measured outputs, by the names of the model.
+    Attributes
+    ----------
+    omega
+        Frequencies in rad/s, shape (n,), increasing.
+    response
+        Complex, shape (n, n_y), in units of output per input.
+    input, outputs
+        The driven input, and the measured outputs, by the names of the model.
+    name
+        Name in messages.
 
     Raises
     ------
@@ -76,7 +84,7 @@ class FrequencyData(Tabular, Evidence):
     response: ComplexArray
     input: str
     outputs: tuple[str, ...]
-    name: str = "frequency response"  # in messages
+    name: str = "frequency response"
 
     def __init__(
         self, omega: ArrayLike, response: ArrayLike, input: str, outputs: tuple[str, ...] | list[str],
