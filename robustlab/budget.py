@@ -83,7 +83,7 @@ class Budget:
 
     @property
     def over(self) -> bool:
-        """Whether the search has to end: its work is done or its time is up."""
+        """Return whether the search has to end: its work is done or its time is up."""
         if self.left <= 0:
             self._mark("_used_up")
             return True

@@ -112,7 +112,7 @@ class Record(Displayable, Traced):
 
     @property
     def is_uniform(self) -> bool:
-        """Whether every step is within 0.1 % of the mean sample time."""
+        """Return whether every step is within 0.1 % of the mean sample time."""
         return is_uniform(self.t)
 
     def unit(self, name: str) -> str:

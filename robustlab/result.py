@@ -48,7 +48,7 @@ class Status(StrEnum):
 
     @property
     def trustworthy(self) -> bool:
-        """Whether CERTIFIED or CONVERGED."""
+        """Return whether CERTIFIED or CONVERGED."""
         return self in (Status.CERTIFIED, Status.CONVERGED)
 
 

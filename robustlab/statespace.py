@@ -145,7 +145,7 @@ class StateSpaceModel(TransferMatrix, Displayable, Traced):
 
     @property
     def is_discrete(self) -> bool:
-        """Whether ``dt > 0``."""
+        """Return whether ``dt > 0``."""
         return self.dt > 0
 
     def poles(self) -> NDArray[np.complex128]:

@@ -130,7 +130,7 @@ class IqcStability(StabilityMargin):
 
     @property
     def stable(self) -> bool:
-        """Whether stability is proved for the set as given."""
+        """Return whether stability is proved for the set as given."""
         return self.lower >= 1
 
     def headline(self) -> str:

@@ -63,7 +63,7 @@ class StructuralTest(AllFields, Displayable):
 
     @property
     def complete(self) -> bool:
-        """Whether no mode is hidden: the model is controllable (observable)."""
+        """Return whether no mode is hidden: the model is controllable (observable)."""
         return self.rank == self.n_states
 
     @property

@@ -152,7 +152,7 @@ def margin_shares(margin: Margin) -> Figure:
     axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
     axes.axvline(0.0, color=style.MEASURED, lw=0.8)
-    axes.set_xlabel("percent of margin gained per percent of range taken off")
+    axes.set_xlabel("gain of the margin in % if the range is 1 % smaller")
     return figure
 
 

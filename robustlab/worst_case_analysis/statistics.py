@@ -199,7 +199,7 @@ class ViolationProbability(Tabular, Displayable):
 
     @property
     def met(self) -> bool | None:
-        """Whether the required probability is confirmed; None where none was stated."""
+        """Return whether the required probability is confirmed; None where none was stated."""
         return self.shown
 
     @property

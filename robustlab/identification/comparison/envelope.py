@@ -85,7 +85,7 @@ class EnvelopeCoverage(Evidence):
 
     @property
     def covered(self) -> bool:
-        """Whether every sample of every signal is inside."""
+        """Return whether every sample of every signal is inside."""
         return all(s.share == 1.0 for s in self.signals.values())
 
     def headline(self) -> str:

@@ -224,7 +224,7 @@ class FreeRun(Evidence):
 
     @property
     def whole(self) -> bool:
-        """Whether the free run reaches the end of the record."""
+        """Return whether the free run reaches the end of the record."""
         return not self.reason
 
 

@@ -410,7 +410,7 @@ class Kinds:
 
     @property
     def open(self) -> bool:
-        """Whether a set has an effect whose class is neither sure nor excluded."""
+        """Return whether a set has an effect whose class is neither sure nor excluded."""
         return any(
             self.probability[self.above(c)[0]] > 1.0 - constants.SURE and self.sure_kind(c) is None
             for _, _, c in self.effects

@@ -153,7 +153,7 @@ class DataCover(Evidence):
 
     @property
     def passes(self) -> bool:
-        """Whether the set explains the held-out records, with loads within their bounds."""
+        """Return whether the set explains the held-out records, with loads within their bounds."""
         return self.held_out <= self.radius and self.held_out_loads <= 1 + LOAD_ACCURACY
 
     def facts(self) -> Facts:

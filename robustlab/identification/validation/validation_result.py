@@ -91,7 +91,7 @@ class Validation(Tabular, Evidence):
 
     @property
     def invalidated(self) -> bool:
-        """Whether no Delta of the set (gamma = 1) explains the record."""
+        """Return whether no Delta of the set (gamma = 1) explains the record."""
         return self.lower > 1
 
     quantities: ClassVar[Mapping[str, Any]] = {

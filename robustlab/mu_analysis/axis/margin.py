@@ -43,7 +43,7 @@ class StabilityMargin(Bracket):
 
     @property
     def stable(self) -> bool | None:
-        """Whether every member of the set as given is stable; None where neither was shown."""
+        """Return whether every member of the set as given is stable; None where neither was shown."""
         return True if self.lower > 1 else False if self.upper <= 1 else None
 
     def headline(self) -> str:

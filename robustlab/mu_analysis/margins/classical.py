@@ -122,7 +122,7 @@ class ClassicalMargins(Typed, Displayable):
 
     @property
     def stable(self) -> bool:
-        """Whether the closed loop is stable as it is."""
+        """Return whether the closed loop is stable as it is."""
         return all(m.stable for m in self.channels.values())
 
     @property

@@ -94,7 +94,7 @@ def proof_below(
 
 @dataclass(frozen=True, eq=False)
 class DelayStability(StabilityMargin):
-    """Whether a model with exact delays is stable, and the evidence.
+    """Stability of a model with exact delays, with its evidence.
 
     Nothing is uncertain: both bounds are inf where the model is stable, 0 where it is not, 0 and inf where neither was
     shown. CERTIFIED: proved on the whole frequency axis, in floating point. INCONCLUSIVE: not decided up to the highest

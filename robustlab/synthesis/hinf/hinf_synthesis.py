@@ -113,7 +113,7 @@ class Search:
 
     @property
     def settled(self) -> bool:
-        """Whether the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
+        """Return whether the best controller is at the plant's own Riccati optimum, or at a proved lower bound."""
         best = self.best
         return best is not None and (best.gamma <= 1.0005 * self.regular_gamma or self.proved(best))
 
