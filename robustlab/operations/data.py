@@ -161,7 +161,7 @@ public(
     "identification.data_checks.resampling.join_clocks", "", "join", result="record.Record", gives="record",
     infer=_joined,
     kinds={
-        "first": RecordFile(key="first"), "second": Measured,
+        "first": (RecordFile(key="first"), "Record of the first logger."), "second": Measured,
         "dt": (Number(above=0), "s; the coarser of the two where left out."),
     },
 )  # fmt: skip

@@ -66,7 +66,10 @@ def mixsyn(
         Stable, proper weights on e (n_y channels), u (n_u channels) and G u (n_y channels). None leaves the term out; a
         number or a model with one input and one output is used on every channel; else a model or a constant matrix with
         as many inputs as channels. See `robustlab.synthesis.specifications.weight_design`.
-    gamma_rel, time_limit, effort, progress
+    gamma_rel
+        Largest ratio of gamma to the smallest gamma found (>= 1); within it the controller with the slowest poles is
+        returned.
+    time_limit, effort, progress
         As for `robustlab.hinf`.
 
     Returns

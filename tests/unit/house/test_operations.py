@@ -52,6 +52,8 @@ def test_names_defaults_and_help_are_those_of_the_declaration(declared: Operatio
             if p.kind.only != "step":
                 option: Any = offered[p.name].annotation.__metadata__[0]
                 assert option.help.startswith(p.help)
+                assert p.help
+                assert "robustlab." not in p.help  # a reference to another docstring
     if declared.step:
         keys = KINDS[declared.step].model_fields
         for p in parameters.values():
