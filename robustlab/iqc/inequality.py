@@ -1,7 +1,7 @@
 r"""Multipliers, the integral quadratic constraints of blocks with unknowns, and the inequality that a solver takes.
 
 The constraints :math:`\int_0^\infty v^T M v \, dt \ge 0`, :math:`v = \Psi (z, w)`, and the order of their unknowns
-lambda are those of docs/proofs.md. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
+lambda are those of robustlab/verification/theorems.md. In the inequality of Kalman, Yakubovich and Popov (Rantzer 1996)
 
 .. math:: \begin{bmatrix} A^T P + P A & P B \\ B^T P & 0 \end{bmatrix}
     + \sum_i \begin{bmatrix} C_i & D_i \end{bmatrix}^T M_i(\lambda) \begin{bmatrix} C_i & D_i \end{bmatrix}

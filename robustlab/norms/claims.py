@@ -1,10 +1,10 @@
 r"""Matrices P that prove an H-infinity or an H2 norm, found in floating point and checked in ball arithmetic.
 
-The inequality of docs/proofs.md holds strictly for the stabilising solution of the Riccati equation with
-:math:`C^T C + \varepsilon I` in the place of :math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as further outputs
-is at most :math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Where the gain is flat the
-margin is a millionth everywhere: Newton's method corrects P by residuals in extended precision, and P is the sum of two
-matrices of doubles.
+The inequality (robustlab/verification/theorems.md) holds strictly for the stabilising solution of the Riccati
+equation with :math:`C^T C + \varepsilon I` in the place of :math:`C^T C`: the norm with :math:`\sqrt\varepsilon x` as
+further outputs is at most :math:`\sqrt{\gamma_0^2 + \varepsilon h^2}`, h that from the inputs to the states. Where
+the gain is flat the margin is a millionth everywhere: Newton's method corrects P by residuals in extended precision,
+and P is the sum of two matrices of doubles.
 """
 
 from __future__ import annotations

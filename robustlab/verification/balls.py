@@ -125,7 +125,7 @@ def definite(F: Matrix) -> Definite:
     r"""Test F > 0 for a ball matrix (n, n) around a Hermitian one.
 
     For any square S, if :math:`Y = S^* F S` is strictly diagonally dominant with a positive diagonal, F > 0
-    (docs/proofs.md). Floating point chooses S: a root of the inverse of F's midpoint, repeated where needed.
+    (theorems.md). Floating point chooses S: a root of the inverse of F's midpoint, repeated where needed.
     """
     n = F.nrows()
     if n == 0:

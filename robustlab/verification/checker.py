@@ -69,7 +69,7 @@ KINDS: Mapping[str, _Kind] = {
         lambda c, w: prove_multipliers(c, w, gain=False), "stable for all blocks of their types within size times "
         "their ranges", "size", "size >="),
     "iqc-gain": _Kind(
-        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their block_types", "gamma",
+        lambda c, w: prove_multipliers(c, w, gain=True), "stable for all blocks of their types", "gamma",
         "worst-case gain <="),
     "lpv-gain": _Kind(
         prove_parameters, "stable for all trajectories of the parameters within their ranges and rates", "gamma",

@@ -1,6 +1,6 @@
 """Weights that bound the error of a rational delay, for every delay of a range and at every frequency.
 
-The theorem and the expansion of functions in boxes are in docs/proofs.md.
+The theorem and the expansion of functions in boxes are in theorems.md.
 """
 
 from __future__ import annotations

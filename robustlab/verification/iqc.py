@@ -1,6 +1,6 @@
 r"""Gain and stability of loops with blocks that vary or are nonlinear: one matrix inequality for all frequencies.
 
-The theorem, its proof and the constraints of each block type are in docs/proofs.md, in the same symbols. The
+The theorem, its proof and the constraints of each block type are in theorems.md, in the same symbols. The
 loop is w = Delta(z), from the model's first inputs and outputs; the others, u and y, are the performance. A real block
 is :math:`c z + s h\, \delta(z)`, c and h middle and half width of its range, s the ``size``; other blocks are s times a
 unit one. So the unit blocks close the model of `mu.within_box` with its columns times s.

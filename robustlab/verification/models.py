@@ -2,7 +2,7 @@ r"""State-space models whose entries are balls, blocks of Delta, and the form wh
 
 Stored models are exact; computed ones (a loop's inverse) are ball matrices around the exact model. The loop is
 :math:`w = \Delta z,\ z = M w`, singular where :math:`\det(I - M \Delta) = 0`. Block i may have the norm
-:math:`1/\ell_i`, with :math:`\ell_i` its level. The theorem about the form, with its proof: docs/proofs.md.
+:math:`1/\ell_i`, with :math:`\ell_i` its level. The theorem about the form, with its proof: theorems.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Bounds of mu: of a matrix, and of a model at every frequency of the axis or of a band; and what a set contains.
 
-The theorems with their proofs are in docs/proofs.md, in the same symbols. From above: scalings for intervals of
+The theorems with their proofs are in theorems.md, in the same symbols. From above: scalings for intervals of
 frequency, and for boxes of the real parameters. From below: a Delta near given numbers makes the loop singular, or a
 member unstable.
 """

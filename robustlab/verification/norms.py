@@ -1,6 +1,6 @@
 """Proofs about a model in balls: stability, H-infinity and H2 norms, and definite forms on intervals of frequency.
 
-The theorems with their proofs are in docs/proofs.md, in the same symbols. An interval that fails is halved. High
+The theorems with their proofs are in theorems.md, in the same symbols. An interval that fails is halved. High
 frequencies, infinity included, are those of the reciprocal model around 0; a discrete model is mapped to a continuous
 one first (`models`). Floating point proposes P, or the eigenvectors of the test of regularity.
 """

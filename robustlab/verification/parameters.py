@@ -1,7 +1,7 @@
 """Gain of a model with time-varying parameters, for all their trajectories, between grid points too.
 
 The model and P are multi-linear in the cells of a grid, the model to within a bound E, entry by entry; the theorem with
-its proof is in docs/proofs.md, in the same symbols. A loop is that of a plant and a controller u = K(rho) y,
+its proof is in theorems.md, in the same symbols. A loop is that of a plant and a controller u = K(rho) y,
 multi-linear on the same grid; it is multi-linear too where B2, D12, C2, D21 are constant and D22 = 0.
 """
 
