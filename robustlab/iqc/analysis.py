@@ -4,8 +4,8 @@ r"""Worst-case gain and stability by integral quadratic constraints, also of a l
           \|y\|_2 \le \gamma \|u\|_2 \text{ for all } u \in L_2 \text{ and all } \Delta \text{ of the class}
 
 Every range is first centred, so that tau Delta is of the class of each Delta for tau in [0, 1] (Megretski, Rantzer
-1997), and the model, at tau = 0, is stable. The theorem and why the loop is well
-posed: robustlab/verification/theorems.md.
+1997), and the model, at tau = 0, is stable. Theorem and proof:
+robustlab/verification/theorems.md.
 """
 
 from __future__ import annotations
